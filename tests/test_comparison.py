@@ -75,11 +75,6 @@ def test_the_effect_itself_is_that_of_the_independent_machine(name: str) -> None
     assert found.value == value
     assert found.nominal.mean == pytest.approx(apart.mean(), abs=1e-9)
     assert found.nominal.max == pytest.approx(apart.max(), abs=1e-9)
-    at = np.all(comparison().p == np.array(found.nominal.where), axis=1)
-    assert apart[at].max() == pytest.approx(apart.max(), abs=2e-9)
-    moved = p - comparison().p
-    centred = np.linalg.norm(moved - moved.mean(axis=0), axis=1)
-    assert found.translated.max == pytest.approx(centred.max(), abs=1e-9)
     turn = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
     assert found.rotation == pytest.approx(turn.max(), abs=1e-7)
 
@@ -149,9 +144,7 @@ def test_a_machine_is_all_of_its_parameters_together() -> None:
 
 def test_structured_members_and_dials() -> None:
     common, gain = compare_effects(names=("axis_offset.common", "gauge_drift"), points=FEW)
-    # All rails moved alike are offsets of the three drives and, else, a translation.
     assert common.fitted.max > 1e-4
-    assert common.identified.max < 0.01 * common.fitted.max
     assert gain.name.startswith("gauge_drift.")
     assert gain.nominal.max < 1e-14
     assert gain.reading_change > 1e-6
@@ -188,10 +181,10 @@ def test_constants_cannot_be_cold_and_warm_or_come_from_both_sides() -> None:
 def test_tables_hold_the_rows() -> None:
     rows = (*compare_machine(Machine.nominal().with_parameters({"backlash.x": 1e-5}), FEW),)
     head, rule, *lines = markdown_table(rows).splitlines()
-    assert {line.count("|") for line in (head, rule, *lines)} == {13}
+    assert {line.count("|") for line in (head, rule, *lines)} == {8}
     cells = [line.split(" | ") for line in lines]
     assert [row[:2] for row in cells] == [["| `machine`", "all"], ["| `backlash.x`", "0.01 mm"]]
-    assert f", {micrometres(rows[1].fitted.max)}" in cells[1][4]
+    assert cells[1][2] == micrometres(rows[1].fitted.max)
 
 
 # -- other layouts ------------------------------------------------------------------------------

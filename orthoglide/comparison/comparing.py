@@ -6,13 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from orthoglide import reduction
 from orthoglide.errors import InputError, NumericsError, check_integer, check_list
-from orthoglide.geometry import LEGS, Array, Geometry, axial_vectors
+from orthoglide.geometry import Array, Geometry, axial_vectors
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Readings
@@ -50,7 +49,6 @@ class Difference:
 
     mean: float  # over all points
     max: float  # the largest
-    where: tuple[float, float, float]  # TCP (3,) at which it is the largest
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,6 @@ class Row:
     unit: Unit  # in which files show the parameter
     value: float  # of the parameter, SI; nan for a machine
     nominal: Difference  # at the TCP, all six parameters of the reduction at zero
-    translated: Difference  # that difference after the best translation
     fitted: Difference  # with the six parameters fitted to the TCP
     six: tuple[float, ...]  # joint offsets and leg lengths fitted to the TCP, metres
     rotation: float  # largest turn of the platform, radians; the reduction's never turns
@@ -73,9 +70,6 @@ class Row:
     # parameters fitted to the TCP (n,), metres
     at: Array = field(compare=False, repr=False)
     difference: Array = field(compare=False, repr=False)
-    # with the six fitted to the readings, the machine's tolerances as priors, after the best
-    # translation, which leg readings cannot see
-    identified: Difference = Difference(_NAN, _NAN, (_NAN,) * 3)
     reading_change: float = _NAN  # what the effect does to the readings, datums fitted, rms, metres
     reading_rms: float = _NAN  # residual after the six parameters and the datums are fitted, metres
     reading_max: float = _NAN  # largest residual
@@ -205,10 +199,9 @@ class Comparison:
         return np.asarray(fit.x)
 
     def difference(self, differences: Array) -> Difference:
-        """Return mean, largest value and place of differences ``(2 n, 3)`` over the workspace."""
+        """Return mean and largest value of differences ``(2 n, 3)`` over the workspace."""
         size = np.linalg.norm(differences, axis=1)
-        x, y, z = self.p[np.argmax(size >= size.max() - EQUAL_WITHIN)].tolist()  # the first
-        return Difference(float(size.mean()), float(size.max()), (x, y, z))
+        return Difference(float(size.mean()), float(size.max()))
 
     def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
         """Return the comparison for parameters ``values``; name and value are for the table."""
@@ -222,36 +215,27 @@ class Comparison:
             unit=effect.unit if effect else ONE,
             value=value,
             nominal=self.difference(nominal),
-            translated=self.difference(nominal - nominal.mean(axis=0)),
             fitted=self.difference(left),
             six=tuple(six.tolist()),
             rotation=rotation,
             at=self.p[: len(left) // 2],
             difference=np.linalg.norm(left, axis=1).reshape(2, -1).max(axis=0),
-            **(self._reading_figures(values, tcp) if self.geometry.dialled else {}),
+            **(self._reading_figures(values) if self.geometry.dialled else {}),
         )
 
-    def _reading_figures(self, values: Mapping[str, float], tcp: Array) -> dict[str, Any]:
-        """Return the fields of a row that come from readings of dials, by two fits of the
-        reduction: the best one, and the one that an identification with priors finds.
-        """
+    def _reading_figures(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the fields of a row that come from readings of dials."""
         campaign, readings = self.campaign, self.model.readings(values, self.campaign)
         datums = np.eye(len(campaign.setups))[campaign.setup]
         change = readings - self.model.readings({}, campaign)
         change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
         setups = [campaign.setups[k] for k in campaign.setup]
-        tolerances = [self.machine.tolerance(name) for name in self.machine.catalogue.base]
         axes, gauges, signs = zip(*((s.axis, s.gauge, s.sign) for s in setups), strict=True)
-        best, with_priors = (
-            reduction.fit_readings(
-                campaign.command, campaign.leg, axes, gauges, readings, READING_LIMIT,
-                signs=signs, prior_sd=prior, nuisance=datums, geometry=self.geometry,
-            )
-            for prior in (np.inf, np.repeat(tolerances, len(LEGS)))
+        best = reduction.fit_readings(
+            campaign.command, campaign.leg, axes, gauges, readings, READING_LIMIT,
+            signs=signs, nuisance=datums, geometry=self.geometry,
         )  # fmt: skip
-        identified = tcp - self.reduction_tcp(with_priors.values)
         return {
-            "identified": self.difference(identified - identified.mean(axis=0)),
             "reading_change": float(np.sqrt(np.mean(change**2))),
             "reading_rms": float(np.sqrt(np.mean(best.residuals**2))),
             "reading_max": float(np.abs(best.residuals).max()),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Difference, Row
+from orthoglide.comparison.comparing import READING_LIMIT, TCP_LIMIT, Row
 from orthoglide.figures import style
 from orthoglide.figures.draw import draw_levels
 from orthoglide.machine import Machine
-from orthoglide.numerals import plain
 
 _UM = 1e6
 
@@ -21,22 +20,18 @@ LIMITS = (
 """When the simplified model will do."""
 
 _LEGEND = (
-    "Lengths in µm, turns of the platform in µrad, places as TCP in mm, all over the workspace; "
-    "calibrated TCP: identified from the readings with the tolerances as priors, after the best "
-    "translation; up to: the largest size at which the simplified model will do, by proportion."
+    "Differences once the six parameters are fitted, turns of the platform in µrad; up to: the "
+    "largest size at which the simplified model will do, by proportion."
 )
 _NOT_READ = " Readings are not compared: dials are set against the legs of an Orthoglide alone."
 
 
-def micrometres(*values: float) -> str:
-    """Return lengths in micrometres, three digits at most; below a nanometre they count as 0."""
-
-    def text(um: float) -> str:
-        if um < 1e-3:
-            return "0"
-        return f"{um:.{max(0, min(2, 2 - math.floor(math.log10(um))))}f}"
-
-    return ", ".join(text(abs(value) * _UM) for value in values)
+def micrometres(value: float) -> str:
+    """Return a length in micrometres, three digits at most; below a nanometre it counts as 0."""
+    um = abs(value) * _UM
+    if um < 1e-3:
+        return "0"
+    return f"{um:.{max(0, min(2, 2 - math.floor(math.log10(um))))}f}"
 
 
 def _size_text(row: Row, value: float, machine: str) -> str:
@@ -47,49 +42,32 @@ def _size_text(row: Row, value: float, machine: str) -> str:
     return f"{value / row.unit.si:.2g}" + row.unit.behind
 
 
-def _place_text(difference: Difference) -> str:
-    if difference.max * _UM < 1e-3:
-        return "–"
-    return "({})".format(", ".join(plain(x * 1e3, 0) for x in difference.where))
-
-
+_OF_READINGS = "readings differ, rms, µm"
 _COLUMNS: dict[str, Callable[[Row], str]] = {
     "effect": lambda row: row.name,
     "size": lambda row: _size_text(row, row.value, "all"),
-    "TCP as it is: mean, max": lambda row: micrometres(row.nominal.mean, row.nominal.max),
-    "best translation: max": lambda row: micrometres(row.translated.max),
-    "six fitted: mean, max": lambda row: micrometres(row.fitted.mean, row.fitted.max),
-    "where": lambda row: _place_text(row.fitted),
+    "TCP differs, max, µm": lambda row: micrometres(row.fitted.max),
     "platform turns": lambda row: micrometres(row.rotation),
-    "readings: change": lambda row: micrometres(row.reading_change),
-    "six fitted: rms, max": lambda row: micrometres(row.reading_rms, row.reading_max),
-    "calibrated TCP: max": lambda row: micrometres(row.identified.max),
+    _OF_READINGS: lambda row: micrometres(row.reading_rms),
     "will do": lambda row: "yes" if row.good_enough else "no",
     "up to": lambda row: _size_text(row, row.value and row.good_up_to, "–"),
-    # of the short table
-    "TCP differs, max, µm": lambda row: micrometres(row.fitted.max),
-    "readings differ, rms, µm": lambda row: micrometres(row.reading_rms),
 }
-_SHORT = ("effect", "TCP differs, max, µm", "readings differ, rms, µm", "will do")
-_LONG = tuple(_COLUMNS)[:-2]
-_OF_READINGS = {
-    "readings: change", "six fitted: rms, max", "calibrated TCP: max", "readings differ, rms, µm",
-}  # fmt: skip
+_SHORT = ("effect", "TCP differs, max, µm", _OF_READINGS, "will do")
 
 
 def short_table(
-    rows: Sequence[Row], columns: Sequence[str] = _SHORT
+    rows: Sequence[Row], columns: Iterable[str] = _SHORT
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return heads and rows of a table, by default for the terminal; columns of readings only where
+    """Return heads and rows of a table, by default for the terminal; that of readings only where
     some were compared.
     """
     read = any(row.read for row in rows)
-    heads = tuple(head for head in columns if read or head not in _OF_READINGS)
+    heads = tuple(head for head in columns if read or head != _OF_READINGS)
     return heads, [tuple(_COLUMNS[head](row) for head in heads) for row in rows]
 
 
-def markdown_table(rows: Sequence[Row], columns: Sequence[str] = _LONG) -> str:
-    """Return the table in Markdown: micrometres, microradians, and millimetres for places."""
+def markdown_table(rows: Sequence[Row], columns: Iterable[str] = tuple(_COLUMNS)) -> str:
+    """Return the table in Markdown, turns of the platform in microradians."""
     heads, cells = short_table(rows, columns)
     names = [f"`{name.replace('|', '/')}`" for name, *_ in cells]
     lines = [heads, *((name, *row[1:]) for name, row in zip(names, cells, strict=True))]
