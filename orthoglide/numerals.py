@@ -69,11 +69,6 @@ def with_sigma(value: float, sigma: float, most: int = _MAX_DECIMALS_MM) -> str:
     return f"{plain(value, places)} ± {sigma:.{places}f}"
 
 
-def hundredths(p: float) -> str:
-    """Return a probability with two decimals, or ``< 0.01``."""
-    return f"{p:.2f}" if p >= 0.005 else "< 0.01"
-
-
 def probability(p: float) -> str:
     """Return a probability as text, or ``below 10⁻⁶``."""
     if not math.isfinite(p):

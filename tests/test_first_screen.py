@@ -20,7 +20,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
 from orthoglide.report.claims import probability_words
-from orthoglide.report.identified import _rms_change
+from orthoglide.report.fit_sentences import _rms_change
 from orthoglide.report.page import render_template
 from orthoglide.report.sections import budget
 from orthoglide.report.terminal import action_lines

@@ -33,7 +33,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.observations import protocol
 from orthoglide.report import report_files, sections
-from orthoglide.report.identified import weak_sentences
+from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.page import finding, render_template
 from orthoglide.report.sentences import claim_text, headline
 from orthoglide.result import Request

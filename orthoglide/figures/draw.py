@@ -75,13 +75,9 @@ def draw_workspace(space: Workspace, improved: bool) -> Drawing:
     """Return the figure of the TCP's error and its uncertainty at three heights; darker is larger.
     ``improved``: whether the final model differs from the base model.
     """
-    rows = [
-        ("predicted error now", space.nominal * 1e3, style.DATA),
-        ("with offsets and lengths set", space.before * 1e3, style.DATA),
-        ("95 % radius afterwards", space.sure * 1e3, style.FIT),
-    ]
-    if not improved:
-        del rows[1]
+    *errors, (what, radius) = space.stages(improved)
+    rows = [(words, error * 1e3, style.DATA) for words, error in errors]
+    rows.append((what, radius * 1e3, style.FIT))
     return draw_levels("workspace", "The TCP over the workspace, mm", rows, space.at, space.axis)
 
 

@@ -19,7 +19,7 @@ from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, lower_first
-from orthoglide.report.identified import base_effects
+from orthoglide.report.fit_sentences import base_effects
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
     parameter_rows,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from orthoglide.numerals import compact, decimals_for, hundredths, probability, signed
+from orthoglide.numerals import compact, decimals_for, probability, signed
 from orthoglide.result import CandidateScore, Result
 from orthoglide.text import sentence
 
@@ -69,7 +69,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
     for cause in result.possible:
         pairs = ([getattr(s, n) for s in (before, cause.after)] for n in (residual, "cv_rms"))
         fit, left_out = (" to ".join(millimetres(pair)) + " mm" for pair in pairs)
-        rows.append((hundredths(cause.probability), cause.words, fit, left_out))
+        rows.append((probability(cause.probability), cause.words, fit, left_out))
     return rows
 
 

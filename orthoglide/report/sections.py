@@ -15,7 +15,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import compact
 from orthoglide.observations import Setup
-from orthoglide.report.identified import weak_sentences
+from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.rows import millimetres
 from orthoglide.report.sentences import undetected_effects, unvaried_effects, unvaried_words
 from orthoglide.result import BudgetItem, Result, SetupResidual, Workspace
@@ -118,15 +118,8 @@ def next_readings_data(result: Result, sheet: str) -> Data:
 
 def workspace(result: Result, space: Workspace) -> Data:
     """Return the TCP's error over the workspace and its uncertainty."""
-    rows = [
-        ("predicted error without corrections", space.nominal),
-        ("predicted error with offsets and lengths corrected", space.before),
-        ("95 % radius of that", space.sure_before),
-        ("95 % radius with everything found corrected", space.sure),
-    ]
-    if not result.improved:  # then the final model is the base model
-        del rows[1:3]
-    sizes = [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in rows]
+    stages = space.stages(result.improved)
+    sizes = [(what, *millimetres([float(v.mean()), float(v.max())])) for what, v in stages]
     return {"rows": sizes}
 
 

@@ -133,6 +133,4 @@ _json_line = partial(json.dumps, ensure_ascii=False, allow_nan=False)
 def _is_flat(value: Any) -> bool:
     """Whether a value contains no list or object that is not empty."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    if {dict, list}.isdisjoint(map(type, parts)):  # the quick answer for many numbers
-        return True
     return not any(isinstance(part, dict | list) and part for part in parts)

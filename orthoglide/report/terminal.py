@@ -6,9 +6,9 @@ import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal
 
-from orthoglide.numerals import hundredths
+from orthoglide.numerals import probability
 from orthoglide.report.claims import claims, lower_first
-from orthoglide.report.identified import weak_sentences
+from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
     parameter_rows,
@@ -131,11 +131,11 @@ def _width() -> int:
 def _tables(result: Result, all_candidates: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
     yield from table(("share of this finding", "cause"), _finding_rows(result))
-    alone = ((hundredths(one.probability), one.words) for one in result.alone)
+    alone = ((probability(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE_TITLES, possible_rows(result))
     candidates = probable_candidates(result) if all_candidates else ()
-    considered = ((hundredths(c.probability), c.words or c.name) for c in candidates)
+    considered = ((probability(c.probability), c.words or c.name) for c in candidates)
     yield from table(("probability of being active", "considered"), considered)
     parameters = [] if result.searches else parameter_rows(result)
     columns = ("parameter", "value", "± sigma", "95 % interval", "tolerance")
@@ -171,6 +171,6 @@ def _finding_rows(result: Result) -> Iterator[tuple[str, str]]:
     """Yield the causes and free-form errors with their alternatives, most probable first."""
     for claim in claims(result)[: len(result.effects) + len(result.located)]:
         same = "".join(f"\nor {lower_first(one.words)}" for one in claim.same)
-        yield hundredths(claim.first.probability), f"{claim.first.words}{same}"
+        yield probability(claim.first.probability), f"{claim.first.words}{same}"
         for one in claim.rivals:
-            yield hundredths(one.probability), f"or {lower_first(one.words)}"
+            yield probability(one.probability), f"or {lower_first(one.words)}"

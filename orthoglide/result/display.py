@@ -56,6 +56,14 @@ class Workspace:
         """Length of ``left`` ``(g,)``."""
         return np.linalg.norm(self.left, axis=1)
 
+    def stages(self, improved: bool) -> list[tuple[str, Array]]:
+        """Return what table and figure show, in words, each with its values ``(g,)``, errors before
+        the radius; ``improved``: whether the final model differs from the base model.
+        """
+        corrected = [("with offsets and lengths corrected", self.before)] if improved else []
+        errors = [("predicted error now", self.nominal), *corrected]
+        return [*errors, ("95 % radius afterwards", self.sure)]
+
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields: mean and largest."""
         figures = {
