@@ -63,7 +63,6 @@ def build_result(outcome: RunOutcome, cls: type[R], progress: Progress = no_prog
 
 def _result_values(outcome: RunOutcome) -> Result:
     base, after = outcome.before, outcome.after
-    uncovered = {id(change) for change in outcome.moved}
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
     sheet, posterior = outcome.next_sheet, outcome.posterior
     unseen, invisible = _unseen(outcome)
@@ -76,7 +75,7 @@ def _result_values(outcome: RunOutcome) -> Result:
         after=_value_of(Fit, after),
         rms_of_all=outcome.first_fit.scores.rms,
         blunders=tuple(_data_faults(outcome)),
-        changed=tuple(_change_value(c, id(c) not in uncovered) for c in outcome.changed),
+        changed=tuple(map(_change_value, outcome.changed)),
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
         verification=after.verification,
@@ -237,11 +236,9 @@ def _value_of(cls: type[T], source: object, **others: Any) -> T:
     return cls(**{name: getattr(source, name) for name in names}, **others)
 
 
-def _change_value(change: Change, covered: bool) -> fits.Change:
-    """Return the value of a change; ``covered``: whether a cause in the same result reports it."""
+def _change_value(change: Change) -> fits.Change:
     si = change.unit.si
     return _value_of(
         fits.Change, change, before=change.before / si, after=change.after / si,
         sigma=change.sigma / si, unit=change.unit.name, each=change.member_clauses,
-        covered_by_cause=covered,
     )  # fmt: skip

@@ -140,13 +140,6 @@ class RunOutcome(Judged, CredibleSets):
         return budget(self.posterior, causes)
 
     @cached_property
-    def moved(self) -> tuple[Change, ...]:
-        """Changes that no cause reports."""
-        reported = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
-        reported = {self.catalogue.parameter(n).plain for n in reported}
-        return tuple(c for c in self.changed if c.parameter not in reported)
-
-    @cached_property
     def lack_of_fit(self) -> LackOfFit:
         """The residuals of the last fit against the noise."""
         mountings = tuple(sorted(residual_by_setup(self.after), key=lambda setup: setup.leg < 0))

@@ -357,7 +357,6 @@ class Change:
     each: tuple[str, ...]  # the members, a clause each
     evidence: Share  # log Bayes factor for the change, the number of candidates included
     loses: bool  # whether it may be lost motion, which the expected errors of the tool exclude
-    covered_by_cause: bool  # whether a cause in the same result already reports it
 
     def __repr__(self) -> str:
         return f"<Change of {self.parameter}: {self.message}>"

@@ -83,6 +83,7 @@ class Judged:
     word: Word
     effects: tuple[Any, ...]
     located: tuple[Any, ...]
+    changed: tuple[Any, ...]
     after: Any
     machine: Any  # the calibrated `Machine`
 
@@ -110,6 +111,13 @@ class Judged:
         have been attributed to them.
         """
         return self.word not in ("partial", "unexplained")
+
+    @property
+    def moved(self) -> tuple[Any, ...]:
+        """Changes that no cause reports."""
+        reported = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
+        reported = {self.catalogue.parameter(n).plain for n in reported}
+        return tuple(c for c in self.changed if c.parameter not in reported)
 
     @property
     def scattering(self) -> tuple[str, ...]:
@@ -317,11 +325,6 @@ class Result(Judged, Framed):
         the machine before calibration.
         """
         return self.before.scores if self.improved else self.nominal
-
-    @property
-    def moved(self) -> tuple[Change, ...]:
-        """Changes that no cause in this result reports."""
-        return tuple(c for c in self.changed if not c.covered_by_cause)
 
     @property
     def loses(self) -> bool:
