@@ -95,7 +95,7 @@ def test_what_readings_do_not_see_is_said() -> None:
     level = tool(("incline",), errors={"joint_offset.x": 5e-4})
     said = headline(run(Request("identify", (level,), MACHINE)))
     assert "These readings do not see the joint offsets" in said
-    assert "the noise of the readings (0.02 mrad)" in said
+    assert "consistent with the noise of the readings (0.020 mrad)" in said
 
 
 @pytest.mark.thorough
