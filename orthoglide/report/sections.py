@@ -5,16 +5,14 @@ from __future__ import annotations
 import base64
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from orthoglide.control import withholding_reason
 from orthoglide.effects.words import toward
 from orthoglide.geometry import LEGS
-from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import compact
-from orthoglide.observations import Setup
 from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.rows import millimetres
 from orthoglide.report.sentences import undetected_effects, unvaried_effects, unvaried_words
@@ -174,7 +172,7 @@ _SOURCES = {
 
 def method(result: Result) -> Data:
     """Return how the result was computed, from which files, and how to repeat it."""
-    setups = result.request.setups
+    observations = (setup.observation for setup in result.request.setups)
     return {
         "machine": Path(result.request.machine.spec.file).name or "the nominal Orthoglide",
         "mechanism": result.catalogue.legs.in_layout_words(
@@ -182,24 +180,5 @@ def method(result: Result) -> Data:
         ),
         "method": _METHODS[result.before.method],
         "source": _SOURCES[result.noise.source],
-        "of_setups": " ".join(_setup_sentences(setups, result.request.machine.spec)),
+        "fitted": {o.instrument_phrase: o.nuisance_summary for o in observations},
     }
-
-
-def _setup_sentences(setups: Sequence[Setup], spec: MachineFile) -> Iterator[str]:
-    """Yield the parameters that were fitted with every setup, a sentence each."""
-    if any(s.observation.from_datum for s in setups):
-        placement = compact(spec.dial.placement * 1e3, 2)
-        yield (
-            f"The dial's zero is free in every setup, and its place along the leg is known to "
-            f"{placement} mm."
-        )
-    if any(s.observation.dials > 1 for s in setups):
-        slope = spec.surface_slope
-        surface = f"may slope by {compact(slope * 1e3, 2)} mrad" if slope else "is taken as exact"
-        yield (
-            f"Of two dials on a leg the difference was read, which has no zero of its own; the "
-            f"surface that they were set to zero against {surface}."
-        )
-    if not setups:
-        yield "What belongs to a setup is free: a plate's height and slopes, an instrument's frame."
