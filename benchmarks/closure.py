@@ -36,8 +36,9 @@ import orthoglide as og
 from orthoglide import reduction
 from orthoglide.mechanism.engine import PinocchioEngine, SixBars
 from orthoglide.mechanism.mechanism import Mechanism
+from orthoglide.mechanism.mjcf import to_mjcf
+from orthoglide.mechanism.tree import load
 from orthoglide.prediction import Model
-from orthoglide.urdf import closures, to_mjcf, to_urdf
 
 Array = NDArray[np.float64]
 ROUNDS = 7
@@ -167,7 +168,7 @@ def add_mujoco(add: Callable[..., None], few: Array) -> None:
     except ImportError:
         return
     size = Dimensions(GEOMETRY.L, GEOMETRY.d, GEOMETRY.r)
-    legs = to_mjcf(to_urdf(GEOMETRY), closures(GEOMETRY), relief=False)
+    legs = to_mjcf(load(GEOMETRY), relief=False)
     named = {"MuJoCo, PRPaR legs": legs, "MuJoCo, six bars": six_bar_mjcf(size)}
     for name, mjcf in named.items():
         machine = MujocoMachine(mjcf, GEOMETRY.L)

@@ -11,11 +11,11 @@ import pinocchio as pin
 import orthoglide as og
 from orthoglide import reduction
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.tree import load, nominal_tree
+from orthoglide.mechanism.tree import load
 
 rho = np.array([0.300, 0.310, 0.325])  # commands of the drives, metres
 
-tree = nominal_tree(load())  # pin.buildModelFromUrdf, and the closures read from the file beside it
+tree = load()  # pin.buildModelFromUrdf, and the closures read from the file beside it
 constraints = Constraints(tree)  # three point anchors, two frame anchors: 21 rows
 print(f"{tree.model.njoints - 1} joints, {len(tree.loops)} loops")
 

@@ -17,13 +17,9 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.mechanism.visual import RailPath, bend_rails, fit_bars, visual_model
+from orthoglide.mechanism.visual import fit_bars, visual_model
 from orthoglide.prediction import Conditions, Model
-from orthoglide.scene import stroke_commands
 
-_PATH_POINTS = 49  # of a carriage's path over the stroke
-_RAIL_DISTANCE = 1.5  # distance of a rail from its carriage's path in d; 1.2 in the package's URDF
 _KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a motion
 _NOMINAL_COLOUR = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
 _EYE_DISTANCE = 0.85  # in diagonals of the machine, which then fits meshcat's 75 degrees
@@ -70,19 +66,6 @@ class MagnifiedMachine:
                 f"smaller magnification"
             ) from error
 
-    def paths(self) -> list[RailPath]:
-        """Return the paths of the three carriages over the stroke."""
-        geometry, paths = self.model.geometry, []
-        lateral = [VIRTUAL_NAMES.index(name) for name in ("lateral_b", "lateral_c")]
-        for index, leg in enumerate(geometry.legs):
-            travel, commands = stroke_commands(geometry, index, _PATH_POINTS)
-            conditions = Conditions.from_commands(commands, **self.conditions)
-            moves = self.model.displacements(self.values, conditions)
-            across = self.factor * moves.reshape(_PATH_POINTS, 3, -1)[:, index, lateral]
-            aside = across @ leg.axes[:, 1:].T
-            paths.append(RailPath(leg.carriage, leg.axes[:, 0], travel, aside))
-        return paths
-
     def commands_along_axes(self, rho: Array) -> Iterator[Array]:
         """Yield commands ``(3,)`` that move the nominal tool to and fro along x, y and z."""
         mechanism = self.model.mechanism
@@ -126,19 +109,17 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     if not (np.isfinite(machine.factor) and machine.factor >= 0):
         raise InputError(f"a magnification is a number from 0 on, not {machine.factor}")
     mechanism, geometry = machine.model.mechanism, machine.model.geometry
-    tree, displacements, paths = mechanism.tree, machine.displacements(rho), machine.paths()
+    tree, displacements = mechanism.tree, machine.displacements(rho)
     posture = machine.close(rho)
-    visual = visual_model(tree, mechanism.looped)
+    visual = visual_model(tree, mechanism.nominal)
     fit_bars(visual, tree, displacements)
-    bent_rails = bend_rails(visual, paths, _RAIL_DISTANCE * geometry.d)
     viewer = MeshcatVisualizer(tree.model, None, visual)
     viewer.initViewer()
     viewer.loadViewerModel("machine")
     viewer.display(posture.q)
-    if machine.factor > 1 and (displacements.any() or bent_rails):
-        nominal = visual_model(tree, mechanism.looped)
-        fixed = [str(item.name) for item in nominal.geometryObjects if item.parentJoint == 0]
-        for name in set(fixed) - set(bent_rails):
+    if machine.factor > 1 and displacements.any():
+        nominal = visual_model(tree, mechanism.nominal)
+        for name in [str(o.name) for o in nominal.geometryObjects if o.parentJoint == 0]:
             nominal.removeGeometryObject(name)
         ghost = MeshcatVisualizer(tree.model, None, nominal)
         ghost.initViewer(viewer=viewer.viewer)

@@ -117,7 +117,7 @@ class MujocoMachine:
     """Closes the loops of an MJCF whose joints ``x_slide`` ... are the drives.
 
     Args:
-        mjcf: as ``six_bar_mjcf`` or ``orthoglide.urdf.to_mjcf`` write it.
+        mjcf: as ``six_bar_mjcf`` or ``orthoglide.mechanism.mjcf.to_mjcf`` write it.
         length: L, metres: the drives stand at rho - L; 0 where commands are travel.
         legs: names of the legs.
     """

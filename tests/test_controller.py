@@ -35,7 +35,7 @@ from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, nominal_tree
+from orthoglide.mechanism.tree import Tree, general_tree
 from orthoglide.prediction import Conditions
 from orthoglide.urdf import closures, read_looped_urdf, to_urdf
 from tests.rig import Array, Rig
@@ -462,8 +462,8 @@ COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
 def tree_of(text: str, *, general: bool, geometry: Geometry | None = None) -> Tree:
     geometry = geometry or Geometry()
     motors = tuple(f"{leg}_slide" for leg in geometry.leg_names)
-    looped = LoopedModel(pin.buildModelFromXML(text), closures(geometry), motors)
-    return general_tree(looped) if general else nominal_tree(looped)
+    nominal = Tree.of_model(pin.buildModelFromXML(text), closures(geometry), motors)
+    return general_tree(nominal) if general else nominal
 
 
 def closed_tcp(tree: Tree, travel: Array) -> Array:

@@ -14,8 +14,9 @@ import mujoco
 from orthoglide.control import calibrated_mjcf, constant_geometry
 from orthoglide.geometry import Geometry
 from orthoglide.machine import Machine
-from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES
-from orthoglide.urdf import closures, to_mjcf, to_urdf
+from orthoglide.mechanism.mjcf import to_mjcf
+from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES, load
+from orthoglide.urdf import closures, to_urdf
 from tests.engines import NOMINAL, OTHER, commands, forward, mechanism, outputs
 from tests.mujoco_machine import Array, Dimensions, MujocoMachine, six_bar_mjcf
 from tests.rig_delta import DeltaRig
@@ -49,7 +50,7 @@ def dimensions(geometry: Geometry = NOMINAL, moves: Array | None = None) -> Dime
 
 def exported(geometry: Geometry = NOMINAL, relief: bool = True) -> str:
     """The nominal machine as the package writes it for MuJoCo."""
-    return to_mjcf(to_urdf(geometry), closures(geometry), relief=relief)
+    return to_mjcf(load(geometry), relief=relief)
 
 
 BUILT: dict[str, Callable[[Geometry], str]] = {

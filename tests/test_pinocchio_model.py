@@ -87,12 +87,12 @@ def test_constrained_dynamics_keeps_the_loops_closed(own: tuple) -> None:
 
 @pytest.mark.parametrize("geometry", [og.Geometry(), DELTA], ids=["orthoglide", "delta"])
 def test_pictures_of_the_links_stand_where_the_urdf_has_them(geometry: og.Geometry) -> None:
-    found, looped = og.pinocchio_model(geometry), load(geometry)
-    nominal = pin.buildGeomFromUrdfString(looped.model, looped.text, pin.GeometryType.VISUAL)
+    found, tree = og.pinocchio_model(geometry), load(geometry)
+    nominal = pin.buildGeomFromUrdfString(tree.model, tree.urdf, pin.GeometryType.VISUAL)
     places = []
     for model, q, visual in (
         (found.model, found.q, found.visual_model),
-        (looped.model, pin.neutral(looped.model), nominal),
+        (tree.model, pin.neutral(tree.model), nominal),
     ):
         data, shown = model.createData(), visual.createData()
         pin.updateGeometryPlacements(model, data, visual, shown, q)

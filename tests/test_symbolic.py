@@ -14,7 +14,7 @@ import pytest
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.mechanism.symbolic import SymbolicTree
-from orthoglide.mechanism.tree import LoopedModel, Tree, general_tree, load, nominal_tree
+from orthoglide.mechanism.tree import Tree, general_tree, load
 
 # Name of the file, kind of root, and the kinds of joint for which it was chosen.
 ROBOTS = [
@@ -75,10 +75,10 @@ def largest_difference(model: pin.Model, n: int = 5) -> float:
     return worst
 
 
-@pytest.mark.parametrize("build", [nominal_tree, general_tree])
+@pytest.mark.parametrize("tree", [load, lambda geometry: general_tree(load(geometry))])
 @pytest.mark.parametrize("geometry", [Geometry(), Geometry(L=0.5, d=0.11, r=0.047)])
-def test_this_machine(build: Callable[[LoopedModel], Tree], geometry: Geometry) -> None:
-    assert largest_difference(build(load(geometry)).model, 20) < 1e-12
+def test_this_machine(tree: Callable[[Geometry], Tree], geometry: Geometry) -> None:
+    assert largest_difference(tree(geometry).model, 20) < 1e-12
 
 
 @pytest.mark.parametrize(("name", "root"), ROBOTS)
@@ -166,7 +166,7 @@ def test_a_mimic_joint_is_refused() -> None:
 
 
 def test_unknown_frames_are_refused() -> None:
-    tree = SymbolicTree(nominal_tree(load()).model)
+    tree = SymbolicTree(load().model)
     with pytest.raises(InputError, match="no frame 'nose'"):
         tree.frame("nose")
     with pytest.raises(InputError, match="no frame 'nose'"):

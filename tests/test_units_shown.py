@@ -13,7 +13,7 @@ import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import confirm_words, size_words, value_words
-from orthoglide.mechanism.tree import load, nominal_tree
+from orthoglide.mechanism.tree import load
 from orthoglide.numerals import compact
 from orthoglide.report import result_text
 from orthoglide.report.rows import parameter_rows
@@ -70,7 +70,7 @@ def test_what_time_and_warmth_do_is_said_alike_in_every_sentence(
 
 
 def test_a_misfit_is_as_large_as_its_largest_entry_whatever_its_sign() -> None:
-    tree = nominal_tree(load())
+    tree = load()
     residual = np.linspace(1e-6, 2e-6, 21)
     names = list(tree.rows)
     for name in names:

@@ -20,7 +20,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.tree import load, nominal_tree
+from orthoglide.mechanism.tree import load
 from tests.test_layout import DELTA, UNEVEN, freely
 
 ROOT = Path(__file__).parents[1]
@@ -226,7 +226,7 @@ def test_exported_loops_are_open_by_as_much_as_ours(geometry: Geometry, tmp_path
     model = exported(geometry, tmp_path)
     robot, data = urdf.read_parallel_robot(tmp_path), model.createData()
     constraints, foreign = constraints_of(robot, model), Mechanism.from_urdf(tmp_path)
-    own = Constraints(nominal_tree(load(geometry)))
+    own = Constraints(load(geometry))
     assert robot.motors == own.tree.motors == foreign.tree.motors
     draws = np.random.default_rng(4)
     for _ in range(10):

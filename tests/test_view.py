@@ -161,23 +161,6 @@ def test_errors_are_magnified_and_the_nominal_machine_stands_beside(kind: str) -
     assert not any(path.startswith("nominal/visuals/") for path in scene(kind, 1.0).objects)
 
 
-def test_a_rail_is_drawn_along_the_path_of_its_carriage() -> None:
-    own = worn("orthoglide")
-    plain, bent = Scene(page_of("orthoglide", 1.0)), scene("orthoglide", FACTOR)
-    path = MagnifiedMachine(own.model, own.values, {}, FACTOR).paths()[1]  # y: a bow toward z
-    low, high = own.geometry.stroke
-    found = [place[:3, 3] for name, place in bent.places.items() if "base_5_piece" in name]
-    assert len(found) > 10
-    for point in found:
-        travel = point[1] - path.origin[1]
-        if low < travel < high:
-            aside = np.interp(travel, path.travel, path.lateral[:, 2])
-            assert point[2] - 0.95 * own.geometry.d == pytest.approx(aside, abs=2e-4)
-    assert np.ptp(path.lateral[:, 2]) > 1e-3
-    straight = "machine/visuals/base_10"  # z is neither tilted nor bowed
-    np.testing.assert_array_equal(bent.places[straight], plain.places[straight])
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tool_moves_to_and_fro_along_each_axis(kind: str) -> None:
     keys = scene(kind, 1.0).animations[

@@ -7,17 +7,20 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import grouped_by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.mechanism.mjcf import to_mjcf
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
 from orthoglide.prediction import Conditions
-from orthoglide.urdf import closures_text, file_names, parallel_robot_files, to_mjcf
+from orthoglide.urdf import closures_text, file_names, parallel_robot_files
 
 _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held are straight
 _LATERAL = ("lateral_b", "lateral_c")
@@ -78,7 +81,7 @@ def calibrated_urdf(machine: MachineSource) -> str:
     from scipy.spatial.transform import Rotation
 
     machine = Machine.of(machine)
-    nominal = load(machine.spec.urdf or machine.geometry).text
+    nominal = load(machine.spec.urdf or machine.geometry).urdf
     robot = ET.fromstring(nominal)
     joints = {str(joint.get("name")): joint for joint in robot.iter("joint")}
     for leg, (moves, slope) in _leg_displacements(machine).items():
@@ -105,10 +108,10 @@ def calibrated_urdf(machine: MachineSource) -> str:
 def calibrated_mjcf(machine: MachineSource) -> str:
     """Return the MJCF of a calibrated machine, its loops closed by equality constraints.
 
-    Joints, sites and constraints are those of ``orthoglide.urdf.to_mjcf``: ``x_slide`` ... are
-    the drives, whose position is the commanded travel, and actuators of these names hold them
-    against gravity; the site ``x_tcp`` is the tool. Legs of any lengths close, as each has the two
-    relief joints that URDF has no room for.
+    Joints, sites and constraints are those of ``orthoglide.mechanism.mjcf.to_mjcf``: ``x_slide``
+    ... are the drives, whose position is the commanded travel, and actuators of these names hold
+    them against gravity; the site ``x_tcp`` is the tool. Legs of any lengths close, as each has the
+    two relief joints that URDF has no room for.
 
     Args:
         machine: calibrated, or the path of its file. What is no constant geometry is left out and
@@ -118,8 +121,9 @@ def calibrated_mjcf(machine: MachineSource) -> str:
         MJCF, in metres, kilograms and radians.
     """
     machine = Machine.of(machine)
-    loops = load(machine.spec.urdf or machine.geometry).loops
-    return to_mjcf(calibrated_urdf(machine), loops, comment=_comment(machine, "MJCF"))
+    nominal, text = load(machine.spec.urdf or machine.geometry), calibrated_urdf(machine)
+    calibrated = replace(nominal, model=pin.buildModelFromXML(text), urdf=text)
+    return to_mjcf(calibrated, comment=_comment(machine, "MJCF"))
 
 
 def constant_geometry(machine: Machine) -> dict[str, float]:

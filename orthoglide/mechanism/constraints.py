@@ -21,7 +21,7 @@ class Constraints:
     (``log6(c1Mc2)``). Holds Pinocchio's scratch data: use one object a thread.
 
     Args:
-        tree: from :func:`~orthoglide.mechanism.tree.nominal_tree` or ``general_tree``.
+        tree: from :func:`~orthoglide.mechanism.tree.load` or ``general_tree``.
 
     Attributes:
         models, datas: Pinocchio's containers of constraint models and data.

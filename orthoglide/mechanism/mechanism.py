@@ -17,15 +17,7 @@ from orthoglide.errors import ClosureError, InputError, as_float_array, check_ch
 from orthoglide.geometry import Array, Geometry, Mode
 from orthoglide.mechanism.constraints import Constraints, Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Spheres, assembly_mode, free_joints, tool_position
-from orthoglide.mechanism.tree import (
-    RELIEF_NAMES,
-    VIRTUAL_NAMES,
-    LoopedModel,
-    Tree,
-    general_tree,
-    load,
-    nominal_tree,
-)
+from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES, Tree, general_tree, load
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
@@ -76,11 +68,11 @@ class Mechanism:
         self, geometry: Geometry | None = None, *, urdf: str | os.PathLike[str] = ""
     ) -> None:
         geometry = geometry or Geometry()
-        looped = load(urdf or geometry)
-        self._build(geometry, looped, general_tree(looped))
+        nominal = load(urdf or geometry)
+        self._build(geometry, nominal, general_tree(nominal))
 
-    def _build(self, geometry: Geometry, looped: LoopedModel, tree: Tree) -> None:
-        self.geometry, self.looped, self.tree = geometry, looped, tree
+    def _build(self, geometry: Geometry, nominal: Tree, tree: Tree) -> None:
+        self.geometry, self.nominal, self.tree = geometry, nominal, tree
         self.constraints = Constraints(tree)
         self.lock = RLock()  # of Pinocchio's scratch data
         self.tool = tree.frame(tree.tool)
@@ -103,13 +95,12 @@ class Mechanism:
             FileError: where a file is missing or invalid.
             InputError: where the tree has no link ``tool``.
         """
-        looped = load(folder)
-        tree = nominal_tree(looped)
-        return _built(Geometry(), looped, replace(tree, tool=tool) if tool else tree)
+        tree = load(folder)
+        return _built(Geometry(), tree, replace(tree, tool=tool) if tool else tree)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Constraint objects do not pickle: another process builds its own.
-        return _built, (self.geometry, self.looped, self.tree)
+        return _built, (self.geometry, self.nominal, self.tree)
 
     def __repr__(self) -> str:
         model, rows = self.tree.model, sum(loop.rows for loop in self.tree.loops)
@@ -304,16 +295,15 @@ class Mechanism:
         if not self.has_legs:
             return mobility(self.constraints, self.close(command).q)
         posture = self.close(command, legs="rigid")
-        nominal = nominal_tree(self.looped)
-        q = np.zeros(nominal.model.nq)
-        q[nominal.drive] = posture.q[self.tree.drive]
-        q[nominal.passive] = posture.q[self.tree.passive]
-        return mobility(Constraints(nominal), q)
+        q = np.zeros(self.nominal.model.nq)
+        q[self.nominal.drive] = posture.q[self.tree.drive]
+        q[self.nominal.passive] = posture.q[self.tree.passive]
+        return mobility(Constraints(self.nominal), q)
 
 
-def _built(geometry: Geometry, looped: LoopedModel, tree: Tree) -> Mechanism:
+def _built(geometry: Geometry, nominal: Tree, tree: Tree) -> Mechanism:
     mechanism = Mechanism.__new__(Mechanism)
-    mechanism._build(geometry, looped, tree)
+    mechanism._build(geometry, nominal, tree)
     return mechanism
 
 

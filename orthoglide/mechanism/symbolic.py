@@ -112,40 +112,19 @@ class SymbolicTree:
         self.q = ca.SX.sym("q", model.nq) if q is None else q
 
     @cached_property
-    def _steps(self) -> list[Transform]:
-        """Transform from each joint's parent to the joint."""
-        steps = [Transform.identity()]
+    def _joints(self) -> list[Transform]:
+        """``base_from_joint`` for every joint of the model."""
+        joints = [Transform.identity()]
         for j in range(1, self.model.njoints):
             joint = self.model.joints[j]
             placement = Transform.from_se3(self.model.jointPlacements[j])
-            q = self.q[joint.idx_q : joint.idx_q + joint.nq]
-            steps.append(placement @ joint_transform(joint, q))
-        return steps
-
-    def _chain(self, joint: int) -> list[int]:
-        chain = []
-        while joint:
-            chain.append(joint)
-            joint = int(self.model.parents[joint])
-        return chain[::-1]
+            across = joint_transform(joint, self.q[joint.idx_q : joint.idx_q + joint.nq])
+            joints.append(joints[self.model.parents[j]] @ placement @ across)
+        return joints
 
     def joint(self, joint: int) -> Transform:
         """Return ``base_from_joint`` for a joint's number."""
-        return self._product(self._chain(joint))
-
-    def _product(self, joints: list[int]) -> Transform:
-        result = Transform.identity()
-        for j in joints:
-            result = result @ self._steps[j]
-        return result
-
-    def _frame(self, name: str) -> tuple[int, Transform]:
-        candidates = [frame for frame in self.model.frames if frame.name == name]
-        if not candidates:
-            raise InputError(f"the model has no frame {name!r}")
-        # Where a joint and a link share a name, the link counts.
-        frame = next((f for f in candidates if f.type == pin.FrameType.BODY), candidates[0])
-        return int(frame.parentJoint), Transform.from_se3(frame.placement)
+        return self._joints[joint]
 
     def frame(self, name: str) -> Transform:
         """Return ``base_from_frame`` for a frame's name.
@@ -153,19 +132,16 @@ class SymbolicTree:
         Raises:
             InputError: where the model has no such frame.
         """
-        joint, placement = self._frame(name)
-        return self.joint(joint) @ placement
+        candidates = [frame for frame in self.model.frames if frame.name == name]
+        if not candidates:
+            raise InputError(f"the model has no frame {name!r}")
+        # Where a joint and a link share a name, the link counts.
+        frame = next((f for f in candidates if f.type == pin.FrameType.BODY), candidates[0])
+        return self.joint(int(frame.parentJoint)) @ Transform.from_se3(frame.placement)
 
     def relative(self, first: str, second: str) -> Transform:
-        """Return ``first_from_second`` for two frames, through their nearest common joint."""
-        (joint_1, place_1), (joint_2, place_2) = self._frame(first), self._frame(second)
-        chain_1, chain_2 = self._chain(joint_1), self._chain(joint_2)
-        shared = 0
-        while shared < min(len(chain_1), len(chain_2)) and chain_1[shared] == chain_2[shared]:
-            shared += 1
-        meet_from_1 = self._product(chain_1[shared:]) @ place_1
-        meet_from_2 = self._product(chain_2[shared:]) @ place_2
-        return meet_from_1.inverse() @ meet_from_2
+        """Return ``first_from_second`` for two frames."""
+        return self.frame(first).inverse() @ self.frame(second)
 
 
 def rotation_error(R: Any) -> Any:

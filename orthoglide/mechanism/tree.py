@@ -9,9 +9,9 @@ below, where a new virtual joint is one line.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -83,6 +83,28 @@ class Tree:
     relief: NDArray[np.intp]  # the relief joints (6,), or empty
     virtual: NDArray[np.intp]  # the virtual joints (30,), ten a leg, or empty
     tool: str  # name of the frame that is the tool
+    urdf: str = ""  # text of the URDF from which the model was read
+
+    @classmethod
+    def of_model(
+        cls, model: pin.Model, loops: tuple[Closure, ...], motors: tuple[str, ...], urdf: str = ""
+    ) -> Tree:
+        """Return the tree of a model, its joints sorted by kind; arguments are the attributes."""
+        legs = [motor.removesuffix("_slide") for motor in motors]
+
+        def places(names: Iterable[str]) -> NDArray[np.intp]:
+            joints = [model.getJointId(name) for name in names if model.existJointName(name)]
+            return np.array([model.joints[j].idx_v for j in joints], dtype=np.intp)
+
+        drive = places(motors)
+        passive, relief, virtual = (
+            places(f"{leg}_{name}" for leg in legs for name in names)
+            for names in (PASSIVE_NAMES, RELIEF_NAMES, VIRTUAL_NAMES)
+        )
+        others = np.setdiff1d(np.arange(model.nv), [*drive, *passive, *relief, *virtual])
+        tool = loops[-1].frame_1 if loops else model.frames[-1].name
+        passive = np.concatenate([passive, others])
+        return cls(model, loops, motors, drive, passive, relief, virtual, tool, urdf)
 
     @cached_property
     def free(self) -> NDArray[np.intp]:
@@ -142,18 +164,9 @@ class Tree:
         return dict(zip(self.rows, largest, strict=True))
 
 
-@dataclass(frozen=True)
-class LoopedModel:
-    """A Pinocchio model as in its URDF, with the closures, the motors and the text of the URDF."""
-
-    model: pin.Model
-    loops: tuple[Closure, ...]
-    motors: tuple[str, ...]
-    text: str = ""
-
-
-def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel:
-    """Return a machine's model and closures, read from its URDF and the closures file beside it.
+def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
+    """Return a machine's tree as it is in its URDF and the closures file beside it, without
+    additional joints: 18 joints for three rigid PRPaR legs.
 
     Args:
         source: dimensions, from which the content of both files is generated; or a folder with
@@ -182,48 +195,28 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> LoopedModel
                 f"{motor} is driven and no joint of one degree of freedom",
                 file=printable_path(files.path),
             )
-    return LoopedModel(model, files.closures, files.motors, files.urdf)
+    return Tree.of_model(model, files.closures, files.motors, files.urdf)
 
 
-def nominal_tree(looped: LoopedModel) -> Tree:
-    """Return the tree without additional joints: 18 joints for three rigid PRPaR legs."""
-    return _classify_joints(looped, looped.model)
-
-
-def general_tree(looped: LoopedModel) -> Tree:
+def general_tree(nominal: Tree) -> Tree:
     """Return the tree of three PRPaR legs with relief and virtual joints inserted: 54 joints.
+
+    Args:
+        nominal: the tree without them.
 
     Raises:
         InputError: where the URDF lacks joints of three PRPaR legs.
     """
-    legs = [motor.removesuffix("_slide") for motor in looped.motors]
+    legs = nominal.leg_names
     required = [f"{leg}_{name}" for leg in legs for name in ("slide", *PASSIVE_NAMES)]
-    missing = [name for name in required if not looped.model.existJointName(name)]
+    missing = [name for name in required if not nominal.model.existJointName(name)]
     if len(legs) != 3 or missing:
         finding = f"no joint {missing[0]}" if missing else f"{len(legs)} driven slides"
         raise InputError(
             f"a machine of this package has three PRPaR legs, and this URDF has {finding}"
         )
-    return _classify_joints(looped, _insert_extra_joints(looped.model))
-
-
-def _classify_joints(looped: LoopedModel, model: pin.Model) -> Tree:
-    legs = [motor.removesuffix("_slide") for motor in looped.motors]
-
-    def places(names: tuple[str, ...]) -> list[int]:
-        full = [f"{leg}_{name}" for leg in legs for name in names]
-        return [model.joints[model.getJointId(n)].idx_v for n in full if model.existJointName(n)]
-
-    positions = partial(np.array, dtype=np.intp)
-    drive = [model.joints[model.getJointId(motor)].idx_v for motor in looped.motors]
-    relief, virtual, passive = places(RELIEF_NAMES), places(VIRTUAL_NAMES), places(PASSIVE_NAMES)
-    sorted_already = {*drive, *relief, *virtual, *passive}
-    passive += [k for k in range(model.nv) if k not in sorted_already]
-    tool = looped.loops[-1].frame_1 if looped.loops else model.frames[-1].name
-    return Tree(
-        model, looped.loops, looped.motors, positions(drive), positions(passive),
-        positions(relief), positions(virtual), tool,
-    )  # fmt: skip
+    model = _insert_extra_joints(nominal.model)
+    return Tree.of_model(model, nominal.loops, nominal.motors, nominal.urdf)
 
 
 def _replace_joints(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:

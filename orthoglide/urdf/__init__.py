@@ -11,7 +11,6 @@ that is the closed machine at mechanical zero, p = 0. The kinematics are the pap
 al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not measured.
 """
 
-from orthoglide.urdf.mjcf import to_mjcf as to_mjcf
 from orthoglide.urdf.parallel import (
     ParallelRobot as ParallelRobot,
     generated_files as generated_files,
