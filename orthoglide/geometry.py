@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
-from orthoglide.errors import InputError, as_float_array, check_choice
+from orthoglide.errors import InputError, UnreachableError, as_float_array, check_choice
 
 Array = NDArray[np.float64]
-Leg = Literal["x", "y", "z"]
 
 Mode = Literal["machine", "other"]
 """The machine's own assembly mode, or its mirror image in the plane of the carriages."""
 
-LEGS: tuple[Leg, Leg, Leg] = ("x", "y", "z")
+LEGS = ("x", "y", "z")
 """The base axes, and the Orthoglide's legs: its leg i slides along base axis i."""
 
 _FAR = 4.0  # bar lengths beyond the stroke, where two legs no longer meet
@@ -93,13 +92,6 @@ def fit_plane(points: Array, height: Array) -> tuple[Array, Array]:
     columns = plane_columns(points)
     plane = np.asarray(np.linalg.lstsq(columns, height, rcond=None)[0], dtype=float)
     return plane, height - columns @ plane
-
-
-def axial_vectors(matrices: Array) -> Array:
-    """Return the axial vectors ``(n, 3, ...)`` of matrices ``(n, 3, 3, ...)``: of a rotation the
-    axis times the sine of the angle, of a small one the angles about x, y and z.
-    """
-    return np.asarray(0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]]))
 
 
 @dataclass(frozen=True)
@@ -208,9 +200,21 @@ class Geometry:
             UnreachableError: where the travel is not less than a bar's length.
             InputError: for any other layout than the Orthoglide.
         """
-        if not isinstance(self.layout, layouts.Orthoglide):
+        if not self.dialled:
             raise InputError(f"legs of a {self.layout.kind} do not lie along base axes")
-        return self.layout.on_axis(self.L, leg, np.asarray(travel, dtype=float))
+        along = np.asarray(travel, dtype=float)
+        excess = float(np.max(np.abs(along), initial=0.0) - self.L)
+        if excess >= 0:
+            name = self.leg_names[leg]
+            raise UnreachableError(
+                f"legs of {self.L * 1e3:g} mm cannot follow the TCP {excess * 1e3:g} mm beyond "
+                f"their length along {name}",
+                leg=name,
+                excess=excess,
+            )
+        rho = np.repeat(np.sqrt(self.L**2 - along**2)[..., None], 3, axis=-1)
+        rho[..., leg] = self.L + along
+        return rho
 
     def command(self, posture: str) -> Array:
         """Return the command ``(3,)`` of a named posture: ``zero``, ``xmax``, ``xmin`` ...

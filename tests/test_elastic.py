@@ -16,7 +16,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions, Model
-from orthoglide.prediction.load import STRETCHES, tensions, tensions_tangent
+from orthoglide.prediction.load import BARS, STRETCHES, joint_forces, tensions_tangent
 from tests.engines import commands
 from tests.rig import Rig, parameter_names
 from tests.test_six_bars import WIDE, postures
@@ -106,10 +106,10 @@ def test_tangent_of_the_tensions_is_a_difference(geometry: Geometry) -> None:
     travel, moves = postures(geometry, 3, 19)
     known, load, h = np.hstack([travel, moves]), np.full(3, LOAD), 1e-5
     shown, by_given = model.engine.tangent(travel, moves)
-    own = tensions_tangent(shown, by_given, tensions(shown, load))
+    own = tensions_tangent(shown, by_given, joint_forces(by_given, load)[:, BARS])
 
     def pulls(at: Array) -> Array:
-        return tensions(model.engine.outputs(at[:, :3], at[:, 3:]), load)
+        return joint_forces(model.engine.tangent(at[:, :3], at[:, 3:])[1], load)[:, BARS]
 
     numeric = np.stack([(pulls(known + h * e) - pulls(known - h * e)) / (2 * h)
                         for e in np.eye(33)], axis=-1)  # fmt: skip

@@ -241,7 +241,7 @@ def test_what_only_three_legs_have_is_refused() -> None:
     for wrong in ([0.1, 0.2], [np.nan], 0.1):
         with pytest.raises(InputError, match=r"one command \(1,\)"):
             four_bar.close(wrong)
-    with pytest.raises(InputError, match="no link 'nose'"):
+    with pytest.raises(InputError, match="no frame 'nose'"):
         Mechanism.from_urdf(FOUR_BAR, "nose")
     with pytest.raises(InputError, match="three PRPaR legs"):
         Mechanism(urdf=FOUR_BAR)

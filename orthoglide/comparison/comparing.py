@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide import reduction
 from orthoglide.errors import InputError, NumericsError, check_integer, check_list
-from orthoglide.geometry import Array, Geometry, axial_vectors
+from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Readings
@@ -172,11 +172,12 @@ class Comparison:
         self, values: Mapping[str, float], conditions: Conditions | None = None
     ) -> tuple[Array, float]:
         """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
+        from scipy.spatial.transform import Rotation  # which is slow to load
+
         conditions = conditions or self.conditions
         distinct, rows = conditions.merged(self.model.needed_conditions(values))
         outputs = self.model.outputs(values, distinct)
-        sines = np.linalg.norm(axial_vectors(outputs.R), axis=1)
-        return outputs.p[rows], float(np.arcsin(np.clip(sines, 0, 1)).max())
+        return outputs.p[rows], float(Rotation.from_matrix(outputs.R).magnitude().max())
 
     def reduction_tcp(self, six: Array, conditions: Conditions | None = None) -> Array:
         """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``(6,)``, metres."""

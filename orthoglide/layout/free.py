@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
+from orthoglide.layout.leg import Array, Layout, Leg, LegNames, Triple, triple
 from orthoglide.parameters import MEMBERS
 from orthoglide.text import abbreviated
 
@@ -78,7 +78,7 @@ class FreeLeg:
 
 
 @dataclass(frozen=True)
-class FreeLegs:
+class FreeLegs(Layout):
     """Legs wherever they are; commands are travel from mechanical zero along the slides.
 
     The bars of a leg are perpendicular to its short links at mechanical zero, where the platform is
@@ -146,17 +146,6 @@ class FreeLegs:
             raise InputError(f"leg {leg.name}: its slide points toward the platform: turn it round")
         platform = middle + leg.axes @ np.array([joint[0], joint[1], c])
         return Leg(leg.name, carriage, platform, leg.axes)
-
-    def zero(self, L: float) -> float:
-        """Travel counts from mechanical zero."""
-        return 0.0
-
-    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether carriages stay ahead of the tool over the whole ``stroke``, metres, for bars of
-        length ``L``; parallel slides have no upper limit.
-        """
-        low, high = stroke
-        return -L < low < 0 < high and (self.hanging or high < L)
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
         """Return a cube about mechanical zero with ``count`` points along each edge, whose edge is

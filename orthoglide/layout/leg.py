@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,21 +100,24 @@ class Leg:
         return float(np.arctan2(b, a))
 
 
-class Layout(Protocol):
+class Layout(ABC):
     """Placement of three legs. Immutable, compared by value."""
 
     kind: ClassVar[str]  # its name in machine files
 
     @property
+    @abstractmethod
     def names(self) -> LegNames:
         """Names of legs and directions."""
 
     @property
+    @abstractmethod
     def hanging(self) -> bool:
         """Whether the platform hangs below the carriages, the slides being parallel; else it stands
         between them and the origin.
         """
 
+    @abstractmethod
     def legs(self, L: float, r: float) -> tuple[Leg, Leg, Leg]:
         """The three legs for bars of length ``L`` and a platform of radius ``r``, metres.
 
@@ -122,10 +126,15 @@ class Layout(Protocol):
         """
 
     def zero(self, L: float) -> float:
-        """Command of every drive at mechanical zero, metres."""
+        """Command of every drive at mechanical zero, metres: 0 where commands are travel."""
+        return 0.0
 
     def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether travel from mechanical zero may run between these limits, metres."""
+        """Return whether carriages stay ahead of the tool over a stroke, metres, and within the
+        reach of bars of length ``L``; parallel slides have no upper limit.
+        """
+        low, high = stroke
+        return -L < low < 0 < high and (self.hanging or high < L)
 
     def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
         """Return points ``(n, 3)`` that fill the workspace evenly; ``None`` where it is defined by
@@ -137,3 +146,4 @@ class Layout(Protocol):
             stroke: travel from mechanical zero.
             count: of points along each axis.
         """
+        return None

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from orthoglide.errors import InputError, as_float_array
-from orthoglide.layout.leg import Array, Leg, LegNames, Triple, triple
+from orthoglide.layout.leg import Array, Layout, Leg, LegNames, Triple, triple
 
 _ACROSS = ("radial", "tangential")
 _SLIDE_END_WORDS = (("down", "downward"), ("up", "upward"))
@@ -30,7 +30,7 @@ and errors of some millimetres make them too short."""
 
 
 @dataclass(frozen=True)
-class LinearDelta:
+class LinearDelta(Layout):
     """Towers along z around a plate; commands are travel from mechanical zero, up.
 
     The base frame's origin is where the nominal tool stands at mechanical zero, the centre of the
@@ -93,17 +93,6 @@ class LinearDelta:
             legs.append(Leg(name, carriage, platform, axes))
         a, b, c = legs
         return a, b, c
-
-    def zero(self, L: float) -> float:
-        """Travel counts from mechanical zero."""
-        return 0.0
-
-    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether carriages stay above the tool over the whole ``stroke``, metres, for bars of
-        length ``L``; the height of the towers does not matter.
-        """
-        low, high = stroke
-        return -L < low < 0 < high
 
     def reach(self, L: float, r: float, lowest: float) -> float:
         """Return the radius on the plate within which all carriages stay above ``lowest`` and all

@@ -7,12 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from orthoglide.errors import UnreachableError
-from orthoglide.layout.leg import Array, Leg, LegNames
+from orthoglide.layout.leg import Layout, Leg, LegNames
 
 
 @dataclass(frozen=True)
-class Orthoglide:
+class Orthoglide(Layout):
     """Three square rails (Pashkevich et al. 2008, section 2.1).
 
     Leg x has a = x, b = y, c = z, and so on in turn. Commands are joint coordinates rho as in eq.
@@ -42,35 +41,6 @@ class Orthoglide:
     def zero(self, L: float) -> float:
         """Rho at mechanical zero: L."""
         return L
-
-    def on_axis(self, L: float, leg: int, travel: Array) -> Array:
-        """Return commands ``(..., 3)``, metres, that move the TCP of bars of length ``L`` by
-        ``travel`` ``(...)``, metres, along a leg's slide (2008, section 2.4).
-
-        Raises:
-            UnreachableError: where the travel is not less than a bar's length.
-        """
-        excess = float(np.max(np.abs(travel), initial=0.0) - L)
-        if excess >= 0:
-            name = self.names.legs[leg]
-            raise UnreachableError(
-                f"legs of {L * 1e3:g} mm cannot follow the TCP {excess * 1e3:g} mm beyond their "
-                f"length along {name}",
-                leg=name,
-                excess=excess,
-            )
-        rho = np.repeat(np.sqrt(L**2 - travel**2)[..., None], 3, axis=-1)
-        rho[..., leg] = L + travel
-        return rho
-
-    def stroke_fits(self, L: float, stroke: tuple[float, float]) -> bool:
-        """Whether a carriage stays on its side of the origin and within its bars' reach."""
-        low, high = stroke
-        return -L < low < 0 < high < L
-
-    def points(self, L: float, r: float, stroke: tuple[float, float], count: int) -> Array | None:
-        """The workspace is what commands over the stroke reach."""
-        return None
 
 
 ORTHOGLIDE = Orthoglide()

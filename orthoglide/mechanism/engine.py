@@ -116,37 +116,32 @@ class PinocchioEngine:
         return Outputs(values), by_given
 
     @cached_property
-    def _bar_ends(self) -> list[tuple[bool, int]]:
-        """Whether each bar end is a frame, and its number or the joint's, in the order of LINES."""
-        tree, bar_ends = self.mechanism.tree, list[tuple[bool, int]]()
-        for leg in tree.leg_names:
-            for name in ("bar1", "knuckle", "bar2"):
-                bar_ends.append((False, tree.model.getJointId(f"{leg}_{name}")))
-            bar_ends.append((True, tree.frame(f"{leg}_bar2_tip")))
-        return bar_ends
+    def _bar_ends(self) -> list[int]:
+        """Frames at the ends of the bars, in the order of ``LINES``."""
+        tree, joint = self.mechanism.tree, pin.FrameType.JOINT
+        return [
+            number
+            for leg in tree.leg_names
+            for number in (
+                *(tree.model.getFrameId(f"{leg}_{n}", joint) for n in ("bar1", "knuckle", "bar2")),
+                tree.frame(f"{leg}_bar2_tip"),
+            )
+        ]
 
     def _posture_outputs(self, posture: Posture) -> Array:
         """Outputs ``(48,)`` of the posture that was closed last."""
         model, data = self.mechanism.tree.model, self.mechanism.constraints.data
-        bar_ends = [
-            (pin.updateFramePlacement(model, data, k) if is_frame else data.oMi[k]).translation
-            for is_frame, k in self._bar_ends
-        ]
-        return np.concatenate([posture.p, posture.R.ravel(), *bar_ends])
+        ends = [pin.updateFramePlacement(model, data, k).translation for k in self._bar_ends]
+        return np.concatenate([posture.p, posture.R.ravel(), *ends])
 
     def _posture_tangent(self, posture: Posture) -> Array:
         """Derivative ``(48, 33)`` of the outputs by travel and displacements."""
-        tree, constraints = self.mechanism.tree, self.mechanism.constraints
-        rates = self.mechanism.joint_rates(posture, np.concatenate([tree.drive, tree.virtual]))
-        model, data, axes = tree.model, constraints.data, pin.LOCAL_WORLD_ALIGNED
-        tool = pin.getFrameJacobian(model, data, self.mechanism.tool, axes) @ rates
+        tree, frames = self.mechanism.tree, [self.mechanism.tool, *self._bar_ends]
+        by = np.concatenate([tree.drive, tree.virtual])
+        tool, *ends = self.mechanism.frame_velocities(posture, by, frames)
         rotation = np.cross(tool[3:].T[:, :, None], posture.R[None], axis=1)
-        jacobian_of = {True: pin.getFrameJacobian, False: pin.getJointJacobian}
-        bar_ends = [
-            jacobian_of[is_frame](model, data, k, axes)[:3] @ rates
-            for is_frame, k in self._bar_ends
-        ]
-        return np.concatenate([tool[:3], rotation.reshape(INPUT_SIZE, 9).T, *bar_ends])
+        by_end = [end[:3] for end in ends]
+        return np.concatenate([tool[:3], rotation.reshape(INPUT_SIZE, 9).T, *by_end])
 
 
 def _numbered(error: ClosureError, index: int, count: int, hint: str = "") -> ClosureError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from threading import RLock
@@ -10,21 +11,18 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dgesv
 
 from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
 from orthoglide.geometry import Array, Geometry, Mode
 from orthoglide.mechanism.constraints import Constraints, Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Spheres, assembly_mode, free_joints, tool_position
-from orthoglide.mechanism.tree import RELIEF_NAMES, VIRTUAL_NAMES, Tree, general_tree, load
+from orthoglide.mechanism.six_bars import nominal_spheres
+from orthoglide.mechanism.tree import VIRTUAL_NAMES, Tree, general_tree, load
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
-
-_RELIEF_LIMIT = float(np.deg2rad(1.0))
-"""Angle of a relief joint, radians, beyond which a real leg would jam or bend: four times the rms
-angle of the most twisted leg with errors of every kind at their tolerances."""
 
 _MAX_STEPS = 30  # within the stroke four to eight suffice
 _LONGEST_STEP = 0.5  # radians; keeps a cold start from jumping to the other assembly mode
@@ -40,7 +38,6 @@ class Posture:
         R: its rotation ``(3, 3)``.
         residual: largest closure residual by loop, metres or radians.
         iterations: Newton's steps taken.
-        warnings: legs whose relief joints turn by more than a degree, one sentence each.
     """
 
     q: Array
@@ -48,7 +45,6 @@ class Posture:
     R: Array
     residual: dict[str, float]
     iterations: int
-    warnings: tuple[str, ...] = ()
 
 
 class Mechanism:
@@ -117,7 +113,7 @@ class Mechanism:
     @cached_property
     def spheres(self) -> Spheres:
         """Legs without errors, from which the closure in a given assembly mode starts."""
-        return Spheres.of_tree(self.tree, self._command_at_zero)
+        return nominal_spheres(self.tree, self._command_at_zero)
 
     @property
     def _command_at_zero(self) -> Array:
@@ -173,7 +169,7 @@ class Mechanism:
             q[self.tree.free] = free_joints(self.tree, self.spheres, travel, p)[0]
         return self._check_posture(*self._newton(q, moving), mode, legs)
 
-    def _newton(self, q: Array, moving: np.ndarray[Any, np.dtype[np.intp]]) -> tuple[Array, int]:
+    def _newton(self, q: Array, moving: NDArray[np.intp]) -> tuple[Array, int]:
         """Return the final configuration of Newton's method, and the number of steps."""
         step, steps = np.zeros(self.tree.model.nv), 0
         while steps < _MAX_STEPS:
@@ -245,50 +241,37 @@ class Mechanism:
                     f"the loops close {place}, not in the {mode} assembly mode",
                     residuals=by_loop,
                 )
-        return Posture(q, p, R, by_loop, iterations, self._relief_warnings(q))
-
-    def _relief_warnings(self, q: Array) -> tuple[str, ...]:
-        """Return warnings for legs whose relief joints turn more than a leg plausibly gives."""
-        angles = np.abs(q[self.tree.relief]).reshape(-1, len(RELIEF_NAMES)).max(axis=1)
-        return tuple(
-            f"leg {leg} must twist by {np.rad2deg(angle):.1f} degrees for the loops to close, more "
-            f"than the {np.rad2deg(_RELIEF_LIMIT):g} degree that a leg plausibly gives: check the "
-            f"mounting of its carriage and the lengths of its bars, or whether the values are real"
-            for leg, angle in zip(self.tree.leg_names, angles, strict=False)
-            if not angle <= _RELIEF_LIMIT
-        )
+        return Posture(q, p, R, by_loop, iterations)
 
     def velocity_jacobian(self, posture: Posture) -> Array:
         """Return dp/drho ``(3, m)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
         return self.sensitivities(posture, self.tree.drive)[:3]
 
-    def sensitivities(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
-        """Return the tool's velocity ``(6, k)`` in the base frame, linear and angular, for unit
+    def sensitivities(self, posture: Posture, by: NDArray[np.intp]) -> Array:
+        """Return the tool's velocity ``(6, k)``; arguments as for :meth:`frame_velocities`."""
+        return self.frame_velocities(posture, by, [self.tool])[0]
+
+    def frame_velocities(
+        self, posture: Posture, by: NDArray[np.intp], frames: Sequence[int]
+    ) -> Array:
+        """Return velocities of frames ``(f, 6, k)`` in the base frame, linear and angular, for unit
         rates of joints while the loops stay closed.
 
         Args:
             posture: closed.
             by: indices of drives or virtual joints in the velocity vector ``(k,)``.
+            frames: numbers of the frames ``(f,)``.
         """
+        model, free, data = self.tree.model, self.tree.free, self.constraints.data
         with self.lock:
-            rates = self.joint_rates(posture, by)
-            tool_rows = pin.getFrameJacobian(
-                self.tree.model, self.constraints.data, self.tool, pin.LOCAL_WORLD_ALIGNED
+            rows = self.constraints.jacobian(posture.q)
+            rates = np.zeros((model.nv, len(by)))
+            rates[by, np.arange(len(by))] = 1.0
+            rates[free] = -_solve_least_squares(rows[:, free], rows[:, by])
+            axes = pin.LOCAL_WORLD_ALIGNED
+            return np.stack(
+                [pin.getFrameJacobian(model, data, frame, axes) @ rates for frame in frames]
             )
-            return np.asarray(tool_rows @ rates)
-
-    def joint_rates(self, posture: Posture, by: np.ndarray[Any, np.dtype[np.intp]]) -> Array:
-        """Return the rates of all joints ``(nv, k)`` while the loops stay closed.
-
-        Args:
-            posture: closed.
-            by: indices in the velocity vector ``(k,)`` of joints that move at unit rate.
-        """
-        rows, free = self.constraints.jacobian(posture.q), self.tree.free
-        rates = np.zeros((self.tree.model.nv, len(by)))
-        rates[by, np.arange(len(by))] = 1.0
-        rates[free] = -_solve_least_squares(rows[:, free], rows[:, by])
-        return rates
 
     def mobility(self, command: ArrayLike) -> Mobility:
         """Return mobility and redundancy of the machine with rigid legs at a command ``(m,)``."""

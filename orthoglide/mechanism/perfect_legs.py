@@ -42,14 +42,6 @@ class Spheres:
         hanging = geometry.layout.hanging
         return cls(geometry.centres, geometry.slides, lengths, geometry.zero, hanging, names)
 
-    @classmethod
-    def of_tree(cls, tree: Tree, zero: Array) -> Spheres:
-        """Return the spheres of a tree of three legs; ``zero``: command at mechanical zero."""
-        from orthoglide.mechanism.six_bars import constants, nominal_spheres
-
-        centres, slides, lengths = nominal_spheres(constants(tree))
-        return cls(centres, slides, lengths, zero, tree.hanging, tree.leg_names)
-
     def centres_at(self, travel: Array) -> Array:
         """Return the centres ``(N, leg, 3)`` for carriages at ``travel`` ``(N, 3)``, metres."""
         return np.asarray(self.centres + travel[:, :, None] * self.slides)

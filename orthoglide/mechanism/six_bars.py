@@ -32,6 +32,7 @@ import pinocchio as pin
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
+from orthoglide.mechanism.perfect_legs import Spheres
 from orthoglide.mechanism.tree import PASSIVE_NAMES, RELIEF_NAMES, VIRTUAL_NAMES, Tree
 
 TCP, ROTATION, LINES = slice(0, 3), slice(3, 12), slice(12, 48)
@@ -124,18 +125,22 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
     )  # fmt: skip
 
 
-def nominal_spheres(values: Array) -> tuple[Array, Array, Array]:
-    """Return the spheres on which the TCP lies while the platform is not turned: centres and slide
-    directions ``(3, 3)``, radii ``(3,)``, at mechanical zero and without errors; metres.
+def nominal_spheres(tree: Tree, zero: Array) -> Spheres:
+    """Return the spheres on which the TCP lies while the platform is not turned, without errors.
+
+    Args:
+        tree: of three legs.
+        zero: command at mechanical zero ``(3,)``, metres.
     """
-    legs = values[:-1].reshape(3, _SIZE)
+    legs = constants(tree)[:-1].reshape(3, _SIZE)
     axes = legs[:, _AXES:_SLIDE].reshape(3, 3, 3)
     roots, points = (
         legs[:, start : start + 6].reshape(3, 2, 3).mean(axis=1) for start in (_ROOTS, _POINTS)
     )
     centres = legs[:, _START:_AXES] + np.einsum("lij,lj->li", axes, roots) - points
     slides = np.einsum("lij,lj->li", axes, legs[:, _SLIDE:_ROOTS])
-    return centres, slides, legs[:, _LENGTHS:].mean(axis=1)
+    lengths = legs[:, _LENGTHS:].mean(axis=1)
+    return Spheres(centres, slides, lengths, zero, tree.hanging, tree.leg_names)
 
 
 class _Leg:

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from orthoglide.errors import InputError
-from orthoglide.mechanism.tree import Tree
+from orthoglide.mechanism.tree import Tree, frame_number
 
 # Placements are read from text: rounding errors of exact rotations would cost operations.
 _ROUNDING = 1e-15
@@ -132,11 +132,7 @@ class SymbolicTree:
         Raises:
             InputError: where the model has no such frame.
         """
-        candidates = [frame for frame in self.model.frames if frame.name == name]
-        if not candidates:
-            raise InputError(f"the model has no frame {name!r}")
-        # Where a joint and a link share a name, the link counts.
-        frame = next((f for f in candidates if f.type == pin.FrameType.BODY), candidates[0])
+        frame = self.model.frames[frame_number(self.model, name)]
         return self.joint(int(frame.parentJoint)) @ Transform.from_se3(frame.placement)
 
     def relative(self, first: str, second: str) -> Transform:

@@ -69,6 +69,20 @@ RELIEF_NAMES: tuple[str, ...] = ("relief_bar", "relief_link")
 _PARALLEL = 1e-3
 
 
+def frame_number(model: pin.Model, name: str) -> int:
+    """Return the number of a frame; where a joint and a link share a name, that of the link.
+
+    Raises:
+        InputError: where the model has no such frame.
+    """
+    for kind in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+        if model.existFrame(name, kind):
+            return int(model.getFrameId(name, kind))
+    if not model.existFrame(name):
+        raise InputError(f"the model has no frame {name!r}")
+    return int(model.getFrameId(name))
+
+
 @dataclass(frozen=True)
 class Tree:
     """A Pinocchio model with its loop closures, and its joints by kind as positions in the velocity
@@ -134,14 +148,7 @@ class Tree:
         Raises:
             InputError: where the model has no such frame.
         """
-        # Where a joint and a link share a name, the link counts.
-        candidates = [k for k, frame in enumerate(self.model.frames) if frame.name == name]
-        if not candidates:
-            raise InputError(f"the URDF has no link {name!r}")
-        return next(
-            (k for k in candidates if self.model.frames[k].type != pin.FrameType.JOINT),
-            candidates[0],
-        )
+        return frame_number(self.model, name)
 
     def loop_ends(self, loop: Closure) -> tuple[int, pin.SE3, int, pin.SE3]:
         """Return joint and placement of both frames of a loop, as Pinocchio's constraints take."""

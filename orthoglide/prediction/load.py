@@ -12,22 +12,33 @@ from orthoglide.mechanism.tree import VIRTUAL_NAMES
 _STRETCH = VIRTUAL_NAMES.index("stretch1")
 STRETCHES = [VIRTUAL_PER_LEG * leg + _STRETCH + bar for leg in range(3) for bar in range(2)]
 """Indices of the bars' stretches among displacements ``(30,)``."""
+BARS = [3 + stretch for stretch in STRETCHES]
+"""Columns of the bars' stretches in the derivative of the outputs ``(n, 48, 33)``."""
+
+
+def joint_forces(tangent: Array, load: Array) -> Array:
+    """Return the force of a load on the drives and virtual joints ``(n, 33)``, N and N m.
+
+    By virtual work it is the load times the distance by which the TCP sinks for a unit of travel
+    or displacement. On a bar's stretch it is the pull in the bar.
+
+    Args:
+        tangent: derivative of the outputs by travel and displacements ``(n, 48, 33)``.
+        load: at the TCP along base -z ``(n,)``, newtons.
+    """
+    return np.asarray(-load[:, None] * tangent[:, 2])
 
 
 def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
-    """Return the force on each carriage along its axis under the load ``(n, 3)``, newtons.
-
-    By virtual work on the machine without errors: ``f = (dp/drho)^T (0, 0, -load)``.
+    """Return the force on each carriage of a machine without errors ``(n, 3)``, newtons.
 
     Args:
         engine: closes postures.
         travel: of the drives ``(n, 3)``, metres.
         load: at the TCP along base -z ``(n,)``, newtons.
     """
-    if not load.any():
-        return np.zeros_like(travel)
     _, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
-    return np.asarray(-load[:, None] * tangent[:, 2, :3])
+    return joint_forces(tangent, load)[:, :3]
 
 
 def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array:
@@ -46,25 +57,19 @@ def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array
     return np.asarray(np.einsum("n,ni,nijx,nikx->njk", load, up, bar_derivative, bar_derivative))
 
 
-def tensions(outputs: Outputs, load: Array) -> Array:
-    """Return the pull in the six bars ``(n, 6)`` that holds the platform under a load, newtons.
+def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
+    """Return the derivative of the pull in the six bars ``(n, 6, k)``, from that of the outputs.
 
     Six bars are statically determinate: ``sum_k t_k u_k = (0, 0, -load)`` and, about the TCP,
     ``sum_k t_k (arm_k x u_k) = 0``.
 
     Args:
         outputs: closed postures.
-        load: at the TCP along base -z ``(n,)``, newtons.
+        tangent: derivative of the outputs ``(n, 48, k)``.
+        tension: pull in the bars ``(n, 6)``, newtons.
     """
-    wrench = np.zeros((len(load), 6, 1))
-    wrench[:, 2, 0] = -load
-    return np.asarray(np.linalg.solve(_bar_wrenches(outputs), wrench)[..., 0])
-
-
-def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
-    """Return the derivative of :func:`tensions` ``(n, 6, k)``, from that of the outputs."""
     n, k = len(tension), tangent.shape[2]
-    start, end = _bar_ends(outputs)
+    start, end = np.moveaxis(outputs.lines.reshape(n, 6, 2, 3), 2, 0)
     span = end - start
     length = np.linalg.norm(span, axis=2)[..., None]
     unit = span / length
@@ -76,19 +81,5 @@ def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
     arm = end - outputs.p[:, None]
     turning = np.cross(by_arm, unit[..., None], axis=2) + np.cross(arm[..., None], by_unit, axis=2)
     change = np.einsum("nb,nbxk->nxk", tension, np.concatenate([by_unit, turning], axis=2))
-    return np.asarray(-np.linalg.solve(_bar_wrenches(outputs), change))
-
-
-def _bar_ends(outputs: Outputs) -> tuple[Array, Array]:
-    lines = outputs.lines.reshape(len(outputs.values), 6, 2, 3)
-    return lines[:, :, 0], lines[:, :, 1]
-
-
-def _bar_wrenches(outputs: Outputs) -> Array:
-    """Return the negative wrench about the TCP of a unit pull in each bar: columns of
-    ``(n, 6, 6)``.
-    """
-    start, end = _bar_ends(outputs)
-    unit = (end - start) / np.linalg.norm(end - start, axis=2)[..., None]
-    wrenches = np.concatenate([unit, np.cross(end - outputs.p[:, None], unit)], axis=2)
-    return np.swapaxes(wrenches, 1, 2)
+    wrenches = np.concatenate([unit, np.cross(arm, unit)], axis=2)
+    return np.asarray(-np.linalg.solve(np.swapaxes(wrenches, 1, 2), change))

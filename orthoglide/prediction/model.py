@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +22,11 @@ from orthoglide.observations import Readings
 from orthoglide.prediction.conditions import Conditions
 from orthoglide.prediction.displacement import COMMAND, CONDITION_COUNT, FORCE, Displacements
 from orthoglide.prediction.load import (
+    BARS,
     STRETCHES,
     drive_forces,
     drive_forces_by_command,
-    tensions,
+    joint_forces,
     tensions_tangent,
 )
 from orthoglide.prediction.measurement_model import Formulas, LinearRows, MeasurementModel
@@ -50,7 +51,6 @@ class Model:
         catalogue: the effects that move it.
         urdf: folder of the machine's URDF; the one of ``geometry`` where absent.
         compile: see :class:`~orthoglide.mechanism.engine.SixBars`.
-        engine: ``"pinocchio"`` closes every posture with Pinocchio's constraint Jacobian.
     """
 
     def __init__(
@@ -62,14 +62,13 @@ class Model:
         catalogue: Catalogue = CATALOGUE,
         urdf: str = "",
         compile: bool | None = None,
-        engine: Literal["six bars", "pinocchio"] = "six bars",
     ) -> None:
         self.catalogue = catalogue
         self.geometry = geometry or Geometry()
         self.pitch = pitch
         self.stiffness = stiffness or Stiffness()
         self.urdf = urdf
-        self._compile, self._engine = compile, engine
+        self._compile, self._by_pinocchio = compile, False
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments alone: CasADi functions cannot be pickled and are built again."""
@@ -79,7 +78,7 @@ class Model:
     def by_pinocchio(self) -> Model:
         """Return a copy of the model that closes every posture with Pinocchio."""
         model = copy(self)
-        model._engine = "pinocchio"
+        model._by_pinocchio = True
         return model
 
     def with_catalogue(self, catalogue: Catalogue) -> Model:
@@ -98,7 +97,7 @@ class Model:
     @cached_property
     def engine(self) -> Engine:
         """The engine that closes postures."""
-        if self._engine == "pinocchio":
+        if self._by_pinocchio:
             return PinocchioEngine(self.mechanism)
         return SixBars(self.mechanism, compile=self._compile)
 
@@ -121,7 +120,8 @@ class Model:
             return displacements
         travel, loaded = self._travel(conditions), displacements.copy()
         for _ in range(_MAX_ELASTIC_ROUNDS):
-            tension = tensions(self.engine.outputs(travel, loaded), conditions.load)
+            tangent = self.engine.tangent(travel, loaded)[1]
+            tension = joint_forces(tangent, conditions.load)[:, BARS]
             stretched = displacements[:, STRETCHES] + tension * self._compliance
             change = np.abs(stretched - loaded[:, STRETCHES]).max(axis=1)
             loaded[:, STRETCHES] = stretched
@@ -133,19 +133,20 @@ class Model:
 
     def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
         """Return the pull in the bars ``(n, leg, bar)`` under the load, newtons."""
-        return tensions(self.outputs(values, conditions), conditions.load).reshape(-1, 3, 2)
+        displacements = self.loaded_displacements(values, conditions)
+        _, tangent = self.engine.tangent(self._travel(conditions), displacements)
+        return joint_forces(tangent, conditions.load)[:, BARS].reshape(-1, 3, 2)
 
     def tangent(self, values: Mapping[str, float], conditions: Conditions) -> tuple[Outputs, Array]:
         """Return outputs, and their derivative ``(n, 48, 33)`` by travel and displacements."""
         displacements = self.loaded_displacements(values, conditions)
         outputs, tangent = self.engine.tangent(self._travel(conditions), displacements)
         if self.is_elastic(conditions):
-            tension = tensions(outputs, conditions.load)
-            columns = [3 + k for k in STRETCHES]
+            tension = joint_forces(tangent, conditions.load)[:, BARS]
             stretched = tensions_tangent(outputs, tangent, tension) * self._compliance
             # Stretches change the tensions too.
-            coupled = np.linalg.solve(np.eye(6) - stretched[:, :, columns], stretched)
-            tangent = tangent + tangent[:, :, columns] @ coupled
+            coupled = np.linalg.solve(np.eye(6) - stretched[:, :, BARS], stretched)
+            tangent = tangent + tangent[:, :, BARS] @ coupled
         return outputs, tangent
 
     @cached_property
