@@ -117,7 +117,7 @@ def rows() -> list[Row]:
         how = "compiled" if compiled else "interpreted"
         for name, values in (("no effect", {}), ("twenty effects", effects)):
             machine = og.Machine.nominal().with_parameters(values)
-            machine.__dict__["_models"] = [model]
+            machine.__dict__["model"] = model
             forward = machine.forward
             add(f"Machine.forward, one posture, {name}, {how}", 200,
                 lambda forward=forward: [forward(rho) for rho in few])  # fmt: skip

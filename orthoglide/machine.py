@@ -139,8 +139,8 @@ class Machine:
         catalogue = self.catalogue.with_effects(effects)
         if catalogue.effects == self.catalogue.effects:
             return self
-        models = [model.with_catalogue(catalogue) for model in self._models]
-        return self._with_models(replace(self.spec, catalogue=catalogue), models)
+        model = self.model.with_catalogue(catalogue)
+        return self._with_model(replace(self.spec, catalogue=catalogue), model)
 
     @property
     def values(self) -> dict[str, float]:
@@ -203,7 +203,7 @@ class Machine:
 
     def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:
         """Return this machine with the provenance of its parameters."""
-        return self._with_models(replace(self.spec, provenance=dict(provenance)), self._models)
+        return self._with_model(replace(self.spec, provenance=dict(provenance)), self.model)
 
     def _with_entries(
         self,
@@ -216,34 +216,28 @@ class Machine:
             check_sigmas(values, sigmas)
         parameters = entries | parameter_entries(self.catalogue, values, sigmas)
         spec = replace(self.spec, parameters=parameters, posterior=posterior, warnings=())
-        return self._with_models(replace(spec, file="", sha256=""), self._models)
+        return self._with_model(replace(spec, file="", sha256=""), self.model)
 
-    def _with_models(self, spec: MachineFile, models: list[Model]) -> Machine:
-        """Return a machine of the same tree with a model that is built already, or will be."""
+    def _with_model(self, spec: MachineFile, model: Model) -> Machine:
+        """Return a machine with a model that others have too."""
         machine = Machine(spec)
-        machine.__dict__["_models"] = models
+        machine.__dict__["model"] = model
         return machine
 
     @cached_property
-    def _models(self) -> list[Model]:
-        """The model that machines of this tree share; empty until one of them needs it."""
-        return []
-
-    @cached_property
     def model(self) -> Model:
-        """The general mechanism with this machine's dimensions."""
-        if not self._models:
-            spec = self.spec
-            model = Model(
-                spec.geometry, spec.screw_pitch, stiffness=spec.stiffness,
-                catalogue=spec.catalogue, urdf=spec.urdf,
-            )  # fmt: skip
-            self._models.append(model)
-        return self._models[0]
+        """The general mechanism with this machine's dimensions, which machines of the same tree
+        share; it is built when it is first used.
+        """
+        spec = self.spec
+        return Model(
+            spec.geometry, spec.screw_pitch, stiffness=spec.stiffness,
+            catalogue=spec.catalogue, urdf=spec.urdf,
+        )  # fmt: skip
 
     def by_pinocchio(self) -> Machine:
         """Return this machine with every posture closed by Pinocchio itself, which is slow."""
-        return self._with_models(self.spec, [self.model.by_pinocchio()])
+        return self._with_model(self.spec, self.model.by_pinocchio())
 
     @cached_property
     def _theta(self) -> Array:

@@ -13,7 +13,6 @@ only where a difference lies within rounding of the margin itself.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -53,20 +52,12 @@ def descending(values: ArrayLike, within: float | None = None) -> list[int]:
     of their group.
     """
     flat = np.asarray(values, dtype=float).ravel()
-    margin, order = _margin(flat, within), np.argsort(-flat, kind="stable")
-    sorted_values = flat[order]
-    first, second = sorted_values[:-1], sorted_values[1:]
-    equal = (second == first) | (second >= first - margin)
-    begins_group = np.concatenate([[True], ~equal])[: len(flat)]
-    # Split a chain of equal neighbours where a value is beyond the margin of its group's first.
-    starts = [*np.flatnonzero(begins_group).tolist(), len(flat)]
-    for start, end in pairwise(starts):
-        head = sorted_values[start] if start < end else 0.0
-        for k in range(start + 1, end) if sorted_values[start] != sorted_values[end - 1] else ():
-            if sorted_values[k] < head - margin:
-                begins_group[k], head = True, sorted_values[k]
-    group = np.empty(len(flat), dtype=int)
-    group[order] = np.cumsum(begins_group)
+    sizes, margin, head = flat.tolist(), _margin(flat, within), np.nan
+    group, number = np.empty(len(flat), dtype=int), 0
+    for k in np.argsort(-flat, kind="stable").tolist():
+        if not sizes[k] >= head - margin:  # the first one, or one that is less than its group
+            head, number = sizes[k], number + 1
+        group[k] = number
     return np.argsort(group, kind="stable").tolist()
 
 

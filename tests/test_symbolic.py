@@ -61,7 +61,7 @@ def largest_difference(model: pin.Model, n: int = 5) -> float:
     tree, places = SymbolicTree(model), {}
     for k, frame in enumerate(model.frames):
         # A joint and a link may share a name: then the link is meant.
-        if frame.name not in places or frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+        if frame.name not in places or frame.type == pin.FrameType.BODY:
             places[frame.name] = k
     transforms = [tree.frame(name) for name in places]
     every = ca.Function(

@@ -87,13 +87,13 @@ class Posterior:
 
     def joined(self, other: Posterior) -> Posterior:
         """Return this distribution with further parameters of another, taken as independent."""
-        new_rows = [k for k, name in enumerate(other.names) if name not in self.names]
+        further = other.without(self.names)
         count = len(self.names)
-        covariance = np.zeros((count + len(new_rows), count + len(new_rows)))
+        covariance = np.zeros((count + len(further.names),) * 2)
         covariance[:count, :count] = self.covariance
-        covariance[count:, count:] = other.covariance[np.ix_(new_rows, new_rows)]
-        names = (*self.names, *(other.names[k] for k in new_rows))
-        return Posterior(names, np.concatenate([self.mean, other.mean[new_rows]]), covariance)
+        covariance[count:, count:] = further.covariance
+        mean = np.concatenate([self.mean, further.mean])
+        return Posterior((*self.names, *further.names), mean, covariance)
 
 
 def posterior_path(path: str | os.PathLike[str]) -> Path:

@@ -7,9 +7,8 @@ and Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentia
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -145,20 +144,13 @@ def rotation_error(R: Any) -> Any:
     return 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
 
 
-@dataclass(frozen=True)
-class ClosureFunctions:
-    """The closures of a tree as CasADi functions, for the nonlinear programme.
-
-    They have 21 free joints, 3 drives and 30 virtual joints, and do not use the six bars.
-
-    Attributes:
-        residual: (free, [travel; displacements]) -> closure residual ``(21,)``, metres and sines.
-        outputs: (free, [travel; displacements]) -> ``(48,)``, as in
-            :mod:`~orthoglide.mechanism.six_bars`.
+class ClosureFunctions(NamedTuple):
+    """The closures of a tree as CasADi functions of the free joints and of [travel; displacements],
+    for the nonlinear programme. They do not use the six bars.
     """
 
-    residual: Any
-    outputs: Any
+    residual: Any  # closure residual (21,), metres and sines
+    outputs: Any  # (48,), as in `six_bars`
 
 
 def closure_functions(tree: Tree) -> ClosureFunctions:

@@ -9,7 +9,7 @@ below, where a new virtual joint is one line.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -75,9 +75,8 @@ def frame_number(model: pin.Model, name: str) -> int:
     Raises:
         InputError: where the model has no such frame.
     """
-    for kind in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
-        if model.existFrame(name, kind):
-            return int(model.getFrameId(name, kind))
+    if model.existFrame(name, pin.FrameType.BODY):
+        return int(model.getFrameId(name, pin.FrameType.BODY))
     if not model.existFrame(name):
         raise InputError(f"the model has no frame {name!r}")
     return int(model.getFrameId(name))
@@ -195,7 +194,10 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
             "Pinocchio finds no tree of links and joints in it, and prints why: correct it",
             file=printable_path(files.path),
         ) from None
-    model = _replace_joints(model, files.replaced)
+    if fixed := [n for n, kind in files.replaced.items() if kind == "FIXED"]:
+        model = pin.buildReducedModel(model, [*map(model.getJointId, fixed)], pin.neutral(model))
+    if spherical := [n for n, kind in files.replaced.items() if kind == "SPHERICAL"]:
+        model = _copied(model, spherical=spherical)
     for motor in files.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
@@ -222,32 +224,20 @@ def general_tree(nominal: Tree) -> Tree:
         raise InputError(
             f"a machine of this package has three PRPaR legs, and this URDF has {finding}"
         )
-    model = _insert_extra_joints(nominal.model)
+    model = _copied(nominal.model, extra_joints=True)
     return Tree.of_model(model, nominal.loops, nominal.motors, nominal.urdf)
 
 
-def _replace_joints(source: pin.Model, replaced: Mapping[str, str]) -> pin.Model:
-    """Return the model with some joints made spherical or fixed."""
-    fixed = [source.getJointId(name) for name, kind in replaced.items() if kind == "FIXED"]
-    if fixed:
-        source = pin.buildReducedModel(source, fixed, pin.neutral(source))
-    if "SPHERICAL" not in replaced.values():
-        return source
-    model = pin.Model()
-    model.name = source.name
-    for j in range(1, source.njoints):
-        name = source.names[j]
-        joint = pin.JointModelSpherical() if replaced.get(name) == "SPHERICAL" else source.joints[j]
-        model.addJoint(source.parents[j], joint, source.jointPlacements[j], name)
-        model.appendBodyToJoint(j, source.inertias[j], pin.SE3.Identity())
-    for frame in source.frames[1:]:
-        if frame.type == pin.FrameType.BODY:
-            model.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, frame.type))
-    return model
+def _copied(
+    source: pin.Model, spherical: Collection[str] = (), extra_joints: bool = False
+) -> pin.Model:
+    """Return a copy of a model with some joints made spherical, and perhaps more joints.
 
-
-def _insert_extra_joints(source: pin.Model) -> pin.Model:
-    """Return a copy of the model with the extra joints of the tables inserted."""
+    Args:
+        source: the model.
+        spherical: names of the joints to make spherical.
+        extra_joints: whether those of the tables above are inserted.
+    """
     model = pin.Model()
     model.name = source.name
     copy_of = {0: 0}  # joint of the source -> joint of the copy that carries its bodies
@@ -260,22 +250,24 @@ def _insert_extra_joints(source: pin.Model) -> pin.Model:
     for j in range(1, source.njoints):
         leg, _, name = source.names[j].partition("_")
         parent, placement = copy_of[source.parents[j]], source.jointPlacements[j]
-        if name in JOINTS_BEFORE:
+        if extra_joints and name in JOINTS_BEFORE:
             extra, joint = JOINTS_BEFORE[name]
             parent = add(parent, joint(), placement, f"{leg}_{extra}")
             placement = pin.SE3.Identity()
-        last_joint = add(parent, source.joints[j], placement, source.names[j])
-        for extra, joint in JOINTS_AFTER.get(name, {}).items():
-            last_joint = add(last_joint, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
+        kind = pin.JointModelSpherical() if source.names[j] in spherical else source.joints[j]
+        last_joint = add(parent, kind, placement, source.names[j])
+        if extra_joints:
+            for extra, joint in JOINTS_AFTER.get(name, {}).items():
+                last_joint = add(last_joint, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
         copy_of[j] = last_joint
         model.appendBodyToJoint(last_joint, source.inertias[j], pin.SE3.Identity())
     for frame in source.frames[1:]:
-        leg, _, name = frame.name.partition("_")
-        parent = copy_of[frame.parentJoint]
         if frame.type != pin.FrameType.BODY:
             continue
-        if name in JOINTS_BEFORE_FRAMES:
+        leg, _, name = frame.name.partition("_")
+        parent = copy_of[frame.parentJoint]
+        if extra_joints and name in JOINTS_BEFORE_FRAMES:
             extra, joint = JOINTS_BEFORE_FRAMES[name]
             parent = add(parent, joint(), pin.SE3.Identity(), f"{leg}_{extra}")
-        model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, pin.FrameType.OP_FRAME))
+        model.addFrame(pin.Frame(frame.name, parent, 0, frame.placement, frame.type))
     return model
