@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.tree import Tree
-from orthoglide.mechanism.visual import visual_model
+from orthoglide.mechanism.tree import Tree, visual_model
 
 
 @dataclass(frozen=True)

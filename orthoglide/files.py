@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
-import select
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,10 +18,6 @@ TEXT_LIMIT = 2**20
 FILE_LIMIT = 128 * 2**20
 """Largest file that is read, bytes: beyond a result with some hundred thousand readings."""
 
-PIPE_TIMEOUT = 5.0
-"""How long a pipe may be silent before reading fails, seconds."""
-
-_READ_SIZE = 2**20
 _BOM = b"\xef\xbb\xbf"
 
 
@@ -33,25 +28,27 @@ def result_file(path: str | os.PathLike[str], name: str) -> Path:
 
 
 def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> bytes:
-    """Return the content of a file or a pipe.
+    """Return the content of a file.
 
     Args:
         path: of the file.
         max_size: largest size allowed, bytes; `FILE_LIMIT` where absent.
 
     Raises:
-        FileError: where it is missing, empty, unreadable, too large, or a pipe into which nobody
-            writes for `PIPE_TIMEOUT` seconds.
+        FileError: where it is missing, empty, unreadable, too large, or a pipe or a device, which
+            may never end.
         InputError: for what is no path.
     """
     as_path(path)
     max_size = FILE_LIMIT if max_size is None else max_size
     try:
-        content = _content(path, max_size)
+        kind = os.stat(path).st_mode
+        if not (stat.S_ISREG(kind) or stat.S_ISDIR(kind)):
+            raise FileError("is a pipe or a device: give a file", file=path)
+        with open(path, "rb") as stream:
+            content = stream.read(max_size + 1)
     except FileNotFoundError:
         problem = "there is no such file: check the name"
-    except TimeoutError:
-        problem = f"is a pipe that says nothing for {PIPE_TIMEOUT:g} seconds: give a file"
     except OSError as error:
         problem = f"cannot be read ({system_reason(error)}): give a readable file"
     else:
@@ -67,25 +64,6 @@ def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> byt
 def system_reason(error: OSError) -> str:
     """Return what the operating system says of an error, as a clause."""
     return (error.strerror or str(error)).lower()
-
-
-def _content(path: str | os.PathLike[str], max_size: int) -> bytes:
-    """Return the content, of a file that is too large at most one byte more than is allowed."""
-
-    def opener(name: str, flags: int) -> int:  # a pipe without a writer is not waited for here
-        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-
-    content = bytearray()
-    with open(path, "rb", buffering=0, opener=opener) as stream:
-        waits = os.name != "nt" and not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
-        while len(content) <= max_size:
-            if waits and not select.select([stream], [], [], PIPE_TIMEOUT)[0]:
-                raise TimeoutError
-            piece = stream.read(_READ_SIZE)
-            if piece == b"":
-                break
-            content += piece or b""  # None: another reader took it
-    return bytes(content[: max_size + 1])
 
 
 _BINARY = {

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
-from typing import ParamSpec, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from threadpoolctl import threadpool_limits
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    with threadpool_limits(1, user_api="blas"):  # of the libraries that are loaded by now
+        yield
 
 
-def on_one_thread(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Return the function with linear algebra on one thread while it runs.
+on_one_thread = _one_thread()
+"""Decorates functions whose linear algebra runs on one thread.
 
-    Its matrices are small: on several cores synchronisation takes up to ten times as long as the
-    work itself. The number of threads of the calling program does not change.
-    """
-
-    @wraps(function)
-    def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
-        with threadpool_limits(1, user_api="blas"):  # of the libraries that are loaded by now
-            return function(*args, **kwargs)
-
-    return wrapper
+Their matrices are small: on several cores synchronisation takes up to ten times as long as the work
+itself. The number of threads of the calling program does not change.
+"""

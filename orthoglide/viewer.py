@@ -17,7 +17,7 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.visual import fit_bars, visual_model
+from orthoglide.mechanism.tree import visual_model
 from orthoglide.prediction import Conditions, Model
 
 _KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a motion
@@ -109,15 +109,12 @@ def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -
     if not (np.isfinite(machine.factor) and machine.factor >= 0):
         raise InputError(f"a magnification is a number from 0 on, not {machine.factor}")
     mechanism, geometry = machine.model.mechanism, machine.model.geometry
-    tree, displacements = mechanism.tree, machine.displacements(rho)
-    posture = machine.close(rho)
-    visual = visual_model(tree, mechanism.nominal)
-    fit_bars(visual, tree, displacements)
-    viewer = MeshcatVisualizer(tree.model, None, visual)
+    tree, posture = mechanism.tree, machine.close(rho)
+    viewer = MeshcatVisualizer(tree.model, None, visual_model(tree, mechanism.nominal))
     viewer.initViewer()
     viewer.loadViewerModel("machine")
     viewer.display(posture.q)
-    if machine.factor > 1 and displacements.any():
+    if machine.factor > 1 and machine.displacements(rho).any():
         nominal = visual_model(tree, mechanism.nominal)
         for name in [str(o.name) for o in nominal.geometryObjects if o.parentJoint == 0]:
             nominal.removeGeometryObject(name)

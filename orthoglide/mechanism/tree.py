@@ -228,6 +228,22 @@ def general_tree(nominal: Tree) -> Tree:
     return Tree.of_model(model, nominal.loops, nominal.motors, nominal.urdf)
 
 
+def visual_model(tree: Tree, nominal: Tree) -> Any:
+    """Return the solids of a tree's URDF as ``pin.GeometryModel``, attached to its joints.
+
+    Args:
+        tree: the general tree, or one reduced from it.
+        nominal: the tree as it is in the URDF.
+    """
+    visual = pin.buildGeomFromUrdfString(nominal.model, nominal.urdf, pin.GeometryType.VISUAL)
+    for item in visual.geometryObjects:
+        link = nominal.model.frames[item.parentFrame]
+        frame = tree.model.frames[tree.frame(link.name)]
+        item.placement = frame.placement * link.placement.inverse() * item.placement
+        item.parentJoint, item.parentFrame = frame.parentJoint, tree.frame(link.name)
+    return visual
+
+
 def _copied(
     source: pin.Model, spherical: Collection[str] = (), extra_joints: bool = False
 ) -> pin.Model:

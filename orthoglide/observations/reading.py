@@ -112,7 +112,7 @@ def read_readings(
         return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
     except FileError:
         # The file may be output of a firmware, which another command imports.
-        if Path(path).is_file():  # a pipe is read once
+        if Path(path).is_file():  # a pipe would be waited for
             with suppress(OSError), Path(path).open("rb") as stream:
                 refuse_foreign(Path(path), stream.read(_HEAD_BYTES), accepted=("archive",))
         raise

@@ -113,10 +113,9 @@ def _package_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
 def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
     """Read the two files of a folder in the format of this package."""
     urdf_path, toml_path = _package_files(folder)
-    urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
+    urdf, names = _read_urdf(urdf_path)
     text = files.decode(files.read_bytes(toml_path, files.TEXT_LIMIT), toml_path)
     file = printable_path(toml_path)
-    names = _names(urdf, printable_path(urdf_path))
     try:
         tables = tomllib.loads(text).get("closure", [])
     except tomllib.TOMLDecodeError as error:
@@ -132,9 +131,8 @@ def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
         loops.append(Closure(name, kind, *frames))  # type: ignore[arg-type]
     if not loops:
         raise FileError("has no table [[closure]], so no loop is closed: add them", file=file)
-    joints = ET.fromstring(urdf).iter("joint")
-    motors = [str(e.get("name")) for e in joints if e.get("type") == "prismatic"]
-    return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors))
+    motors = tuple(name for name, kind in names.items() if kind == "prismatic")
+    return ParallelRobot(urdf_path, urdf, tuple(loops), motors)
 
 
 def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
@@ -145,8 +143,7 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
             loop without its kind, an unknown kind of joint.
     """
     urdf_path, yaml_path = (Path(folder) / name for name in (ROBOT_URDF, ROBOT_YAML))
-    urdf = files.decode(files.read_bytes(urdf_path), urdf_path)
-    names = _names(urdf, printable_path(urdf_path))
+    urdf, names = _read_urdf(urdf_path)
     text = files.decode(files.read_bytes(yaml_path, files.TEXT_LIMIT), yaml_path)
     lists = _YamlLists(text, yaml_path)
     pairs, kinds, motors = (lists.list_of(key) for key in ("closed_loop", "type", "name_mot"))
@@ -166,11 +163,12 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
             lists.fail("name_mot", f"names {abbreviated(str(motor))} twice: name each joint once")
         if not isinstance(motor, str) or motor not in names:
             lists.fail("name_mot", f"names {abbreviated(str(motor))}, no joint of {ROBOT_URDF}")
-    replaced = _joint_replacements(lists, _joint_names(urdf))
+    moving = frozenset(name for name, kind in names.items() if kind not in ("fixed", "link"))
+    replaced = _joint_replacements(lists, moving)
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
 
 
-def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: frozenset[str]) -> str:
+def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: Collection[str]) -> str:
     """Return the fault of the frames or the kind of a loop as a clause; empty for none."""
     texts = isinstance(frames, list) and all(isinstance(n, str) and n in names for n in frames)
     if not texts or len(frames) != 2 or frames[0] == frames[1]:
@@ -195,18 +193,20 @@ def _joint_replacements(lists: _YamlLists, names: frozenset[str]) -> dict[str, s
     return dict(zip(joints, kinds, strict=True))
 
 
-def _joint_names(urdf: str) -> frozenset[str]:
-    """Return the names of the joints that move."""
-    joints = ET.fromstring(urdf).iter("joint")
-    return frozenset(str(e.get("name")) for e in joints if e.get("type") != "fixed")
+def _read_urdf(path: Path) -> tuple[str, dict[str, str]]:
+    """Return the text of a URDF, and the type of each joint by name; ``"link"`` of the links.
 
-
-def _names(urdf: str, file: str) -> frozenset[str]:
+    Raises:
+        FileError: where the file is missing or no URDF.
+    """
+    text = files.decode(files.read_bytes(path), path)
     try:
-        root = ET.fromstring(urdf)
+        root = ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
-        raise FileError(f"is no URDF ({abbreviated(str(error))}): correct it", file=file) from None
-    return frozenset(str(e.get("name")) for e in root if e.tag in ("link", "joint"))
+        reason = abbreviated(str(error))
+        raise FileError(f"is no URDF ({reason}): correct it", file=printable_path(path)) from None
+    links, joints = root.findall("link"), root.findall("joint")  # some have the same names
+    return text, {str(e.get("name")): e.get("type", "link") for e in (*links, *joints)}
 
 
 class _YamlLists:
