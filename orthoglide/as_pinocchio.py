@@ -65,14 +65,11 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     locked = [k for k in range(1, tree.model.njoints) if tree.model.joints[k].idx_v in tree.virtual]
     solids = [visual_model(tree, machine.model.mechanism.nominal)]
     model, (visual,) = pin.buildReducedModel(tree.model, solids, locked, posture.q)
-    kept = np.setdiff1d(np.arange(tree.model.nq), tree.virtual)
-    drives, free = np.searchsorted(kept, tree.drive), np.searchsorted(kept, tree.free)
-    no_joints = np.zeros(0, dtype=np.intp)
-    reduced = Tree(model, tree.loops, tree.motors, drives, free, no_joints, no_joints, tree.tool)
+    reduced = Tree.of_model(model, tree.loops, tree.motors)
     constraints = Constraints(reduced)
     return PinocchioModel(
         model, constraints.models, constraints.datas, *_rigid_constraints(reduced), visual,
-        posture.q[kept], drives, reduced.frame(tree.tool),
+        np.delete(posture.q, tree.virtual), reduced.drive, reduced.frame(tree.tool),
     )  # fmt: skip
 
 

@@ -230,10 +230,7 @@ class Machine:
         share; it is built when it is first used.
         """
         spec = self.spec
-        return Model(
-            spec.geometry, spec.screw_pitch, stiffness=spec.stiffness,
-            catalogue=spec.catalogue, urdf=spec.urdf,
-        )  # fmt: skip
+        return Model(spec.geometry, spec.screw_pitch, spec.stiffness, spec.catalogue, spec.urdf)
 
     def by_pinocchio(self) -> Machine:
         """Return this machine with every posture closed by Pinocchio itself, which is slow."""
@@ -242,7 +239,7 @@ class Machine:
     @cached_property
     def _theta(self) -> Array:
         """All parameters of the machine as the model takes them."""
-        return self.model.parameter_vector(self.values)
+        return self.model.displacement_model.parameter_vector(self.values)
 
     def pose(self, rho: ArrayLike, **conditions: ArrayLike) -> Pose:
         """Return the pose of the platform.

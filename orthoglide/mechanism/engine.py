@@ -209,6 +209,11 @@ class SixBars:
 
     def outputs(self, travel: Array, moves: Array) -> Outputs:
         """Return the outputs of closed postures; see :meth:`PinocchioEngine.outputs`."""
+        if travel.shape != (len(moves), 3) or moves.shape[1:] != (INPUT_SIZE - 3,):
+            raise InputError(
+                f"travel (n, 3) and displacements (n, {INPUT_SIZE - 3}) are needed, not "
+                f"{travel.shape} and {moves.shape}"
+            )
         values, check = self._close("close", self.constants, travel, moves)
         # All postures are closed if the worst ones are; comparisons with NaN are false.
         misfit, side, trace = check[0] if len(check) == 1 else _worst_check(check)

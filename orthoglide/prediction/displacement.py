@@ -25,6 +25,9 @@ DIMENSION_COUNT = 5
 mechanical zero, pitch of the screws (0 where unknown); metres."""
 
 
+Values = Mapping[str, float] | Array
+"""Parameters by name, SI, zero where not named; or all parameters of a machine ``(P,)``."""
+
 _COMPILATION_THRESHOLD = 200_000  # interpreting so many displacements takes as long as compiling
 
 
@@ -131,13 +134,15 @@ class Displacements:
         )
         return RowFunction(by_parameters, 2), RowFunction(by_conditions, 2)
 
-    def parameter_vector(self, values: Mapping[str, float]) -> Array:
+    def parameter_vector(self, values: Values) -> Array:
         """Return all parameters of the machine ``(P,)``, SI, zero where not named, without those of
         dials.
 
         Raises:
             InputError: for a name that is no parameter.
         """
+        if isinstance(values, np.ndarray):
+            return values
         theta = np.zeros(len(self.parameter_index))
         for name, value in values.items():
             if name in self.parameter_index:

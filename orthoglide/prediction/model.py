@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,7 +20,13 @@ from orthoglide.mechanism.six_bars import OUTPUT_SIZE, VIRTUAL_PER_LEG
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.displacement import COMMAND, CONDITION_COUNT, FORCE, Displacements
+from orthoglide.prediction.displacement import (
+    COMMAND,
+    CONDITION_COUNT,
+    FORCE,
+    Displacements,
+    Values,
+)
 from orthoglide.prediction.load import (
     BARS,
     STRETCHES,
@@ -37,38 +43,17 @@ _MAX_ELASTIC_ROUNDS = 200
 _ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: the error left is far smaller
 
 
-Values = Mapping[str, float] | Array
-"""Parameters by name, SI, zero where not named; or all parameters of a machine ``(P,)``."""
-
-
+@dataclass(frozen=True, eq=False)
 class Model:
-    """The general mechanism moved by the catalogue's effects.
+    """The general mechanism moved by the catalogue's effects."""
 
-    Args:
-        geometry: nominal dimensions.
-        pitch: of the drives' screws, metres; ``None`` where unknown.
-        stiffness: of the bars, where known.
-        catalogue: the effects that move it.
-        urdf: folder of the machine's URDF; the one of ``geometry`` where absent.
-        compile: see :class:`~orthoglide.mechanism.engine.SixBars`.
-    """
-
-    def __init__(
-        self,
-        geometry: Geometry | None = None,
-        pitch: float | None = None,
-        *,
-        stiffness: Stiffness | None = None,
-        catalogue: Catalogue = CATALOGUE,
-        urdf: str = "",
-        compile: bool | None = None,
-    ) -> None:
-        self.catalogue = catalogue
-        self.geometry = geometry or Geometry()
-        self.pitch = pitch
-        self.stiffness = stiffness or Stiffness()
-        self.urdf = urdf
-        self._compile, self._by_pinocchio = compile, False
+    geometry: Geometry  # nominal dimensions
+    pitch: float | None = None  # of the drives' screws, metres; `None` where unknown
+    stiffness: Stiffness = field(default_factory=Stiffness)  # of the bars, where known
+    catalogue: Catalogue = CATALOGUE  # the effects that move it
+    urdf: str = ""  # folder of the machine's URDF; the one of `geometry` where absent
+    compile: bool | None = None  # see :class:`~orthoglide.mechanism.engine.SixBars`
+    pinocchio_only: bool = False  # whether Pinocchio closes every posture
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the arguments alone: CasADi functions cannot be pickled and are built again."""
@@ -76,15 +61,12 @@ class Model:
         return {n: v for n, v in vars(self).items() if n not in built}
 
     def by_pinocchio(self) -> Model:
-        """Return a copy of the model that closes every posture with Pinocchio."""
-        model = copy(self)
-        model._by_pinocchio = True
-        return model
+        """Return a model that closes every posture with Pinocchio."""
+        return replace(self, pinocchio_only=True)
 
     def with_catalogue(self, catalogue: Catalogue) -> Model:
-        """Return a copy of the model moved by other effects, which shares the engine."""
-        model = copy(self)
-        model.catalogue = catalogue
+        """Return a model moved by other effects, which shares the engine."""
+        model = replace(self, catalogue=catalogue)
         built = vars(self).keys() & {"mechanism", "engine"}
         vars(model).update({name: vars(self)[name] for name in built})
         return model
@@ -97,9 +79,9 @@ class Model:
     @cached_property
     def engine(self) -> Engine:
         """The engine that closes postures."""
-        if self._by_pinocchio:
+        if self.pinocchio_only:
             return PinocchioEngine(self.mechanism)
-        return SixBars(self.mechanism, compile=self._compile)
+        return SixBars(self.mechanism, compile=self.compile)
 
     @property
     def _compliance(self) -> float:
@@ -152,18 +134,12 @@ class Model:
     @cached_property
     def displacement_model(self) -> Displacements:
         """Map from parameters and conditions to displacements of the virtual joints."""
-        return Displacements(self.catalogue, self.geometry, self.pitch, self._compile)
+        return Displacements(self.catalogue, self.geometry, self.pitch, self.compile)
 
     @cached_property
     def formulas(self) -> Formulas:
         """Formulas of all kinds of readings."""
         return Formulas(self.catalogue)
-
-    def parameter_vector(self, values: Values) -> Array:
-        """Return all parameters of the machine ``(P,)``, SI."""
-        if isinstance(values, np.ndarray):
-            return values
-        return self.displacement_model.parameter_vector(values)
 
     def condition_vectors(self, conditions: Conditions) -> Array:
         """Return conditions as the displacement function takes them ``(n, 11)``."""
@@ -175,7 +151,7 @@ class Model:
 
     def displacements(self, values: Values, conditions: Conditions) -> Array:
         """Return the displacements of the virtual joints ``(n, 30)``, metres and radians."""
-        theta = self.parameter_vector(values)
+        theta = self.displacement_model.parameter_vector(values)
         if not len(conditions) or not theta.any():
             return np.zeros((len(conditions), 3 * VIRTUAL_PER_LEG))
         return self.displacement_model.evaluate(theta, self.condition_vectors(conditions))
@@ -184,7 +160,7 @@ class Model:
         """Return dp/drho ``(n, 3, 3)``, with errors of rails and drives that change with rho."""
         _, tangent = self.tangent(values, conditions)
         by_conditions = self.displacement_model.condition_jacobian(
-            self.parameter_vector(values), self.condition_vectors(conditions)
+            self.displacement_model.parameter_vector(values), self.condition_vectors(conditions)
         )
         by_command = by_conditions[:, :, COMMAND]
         if conditions.load.any():
@@ -207,7 +183,7 @@ class Model:
         """Return poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed;
         zero by parameters of dials.
         """
-        model, theta = self.displacement_model, self.parameter_vector(values)
+        model, theta = self.displacement_model, self.displacement_model.parameter_vector(values)
         columns = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
         machine_parameters = [model.parameter_index[names[k]] for k in columns]
         outputs = np.empty((len(conditions), OUTPUT_SIZE))
