@@ -356,6 +356,4 @@ def campaign_text(campaign: Any, machine: og.Machine | None = None) -> str:
 
 def tcp_text(points: og.Readings) -> str:
     """Return the text of a TCP file."""
-    from orthoglide.observations import csv_text, tcp_rows
-
-    return str(csv_text(tcp_rows(points)))
+    return campaign_text(points)

@@ -24,7 +24,7 @@ from orthoglide.machine_file import (
     machine_text,
     parse_machine_file,
 )
-from orthoglide.observations import csv_text, read_tcp, tcp_rows
+from orthoglide.observations import campaign_rows, csv_text, read_tcp
 from orthoglide.parameters import Parameter
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate_tcp
@@ -338,7 +338,7 @@ def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_pa
     counting = Controller(zero=(0.2, 0.21, 0.22), sign=(-1, -1, -1))
     spec = MachineFile(geometry=DELTA, controller=counting)
     drawn = replace(simulate_tcp(Machine(spec), 5), approach=np.ones((15, 3)))
-    rows = tcp_rows(drawn, spec)
+    rows = campaign_rows(drawn, spec)
     assert list(rows[0]) == [
         *(f"travel_{k}_mm" for k in "abc"), *(f"p_{k}_mm" for k in "xyz"),
         *(f"approach_{k}" for k in "abc"),

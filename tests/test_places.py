@@ -18,7 +18,7 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
-from orthoglide.observations import Readings, read_readings, readings_text
+from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.planning import tool_sheets
 from tests.klipper_files import simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -41,7 +41,7 @@ def sent(p: np.ndarray, radius: float = NOMINAL.radius - NOMINAL.r) -> np.ndarra
 
 def sheet(*kinds: str, machine: Machine = MACHINE) -> list[Row]:
     given = tool_sheets(machine, kinds)
-    text = readings_text(given, machine.spec, commands_as_places=True)
+    text = campaign_text(given, machine.spec, commands_as_places=True)
     return list(csv.DictReader(io.StringIO(text)))
 
 

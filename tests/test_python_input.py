@@ -15,7 +15,7 @@ import orthoglide as og
 from orthoglide.checking import read_states
 from orthoglide.effects import CATALOGUE
 from orthoglide.fit import points_of
-from orthoglide.observations import csv_text, tcp_rows
+from orthoglide.observations import campaign_text
 from orthoglide.parameters import MEMBERS
 from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.report import result_text
@@ -155,7 +155,7 @@ def test_words_of_structured_members_name_no_leg() -> None:
 def test_paths_do_for_machines_and_points(tmp_path: Path) -> None:
     file, points = tmp_path / "machine.toml", tmp_path / "points.tcp.csv"
     WORN.save(file)
-    points.write_text(csv_text(tcp_rows(POINTS, WORN.spec)), encoding="utf-8")
+    points.write_text(campaign_text(POINTS, WORN.spec), encoding="utf-8")
     path = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]]
     assert np.array_equal(og.compensate(file, path).rho, og.compensate(WORN, path).rho)
     assert np.array_equal(og.simulate(str(file), seed=3).reading, og.simulate(WORN, seed=3).reading)

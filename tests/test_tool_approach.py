@@ -12,7 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
-from orthoglide.observations import Readings, read_readings, readings_text
+from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.repetition import repeat_steps
 from orthoglide.planning import tool_sheets
 from tests.rig import Rig
@@ -28,7 +28,7 @@ SPECS = {"abc": SPEC, "xyz": Machine.nominal().spec}
 def sheet_text(legs: str, kinds: tuple[str, ...] = ("tcp",), count: int | None = None) -> str:
     """The sheet that ``design --owns`` writes."""
     machine = Machine(SPECS[legs])
-    return readings_text(tool_sheets(machine, kinds, count=count), machine.spec)
+    return campaign_text(tool_sheets(machine, kinds, count=count), machine.spec)
 
 
 def rows_of(text: str) -> list[Row]:

@@ -107,7 +107,7 @@ def simulate(
     import numpy as np
 
     from orthoglide import simulation
-    from orthoglide.observations import csv_text, protocol, read_readings, readings_text, tcp_rows
+    from orthoglide.observations import campaign_text, protocol, read_campaign
 
     opt.exclude("sheet", "kind", because="a sheet has rows of its own")
     opt.exclude("exact", "noise", because="exact readings have none")
@@ -116,22 +116,20 @@ def simulate(
     robot = machine.load()
     errors = opt.values_in_si("--error", error, robot.catalogue)
     faulty_robot, rng = robot.with_parameters(errors), np.random.default_rng(seed)
-    sheets = (
-        (protocol(kind, faulty_robot.geometry),)  # type: ignore[arg-type]
+    unread = (
+        protocol(kind, faulty_robot.geometry)  # type: ignore[arg-type]
         if sheet is None
-        else read_readings(sheet, faulty_robot.spec, require_readings=False)
+        else read_campaign(sheet, faulty_robot.spec, require_readings=False)
     )
-    robot.catalogue.expand(errors, [setup.name for s in sheets for setup in s.setups])
-    campaigns = [
-        simulation.simulate(faulty_robot, s, noise=noise, seed=rng, exact=exact) for s in sheets
-    ]
-    text = readings_text(campaigns, None if faulty_robot.geometry.dialled else faulty_robot.spec)
+    robot.catalogue.expand(errors, [setup.name for setup in unread.setups])
+    campaign = simulation.simulate(faulty_robot, unread, noise=noise, seed=rng, exact=exact)
+    text = campaign_text(campaign, None if faulty_robot.geometry.dialled else faulty_robot.spec)
     files = {} if out is None else {out: text}
     if tcp is not None:
         points = simulation.simulate_tcp(faulty_robot, seed=rng)
         points = points.with_readings(np.round(points.reading, 9))
-        files[tcp] = csv_text(tcp_rows(points, faulty_robot.spec))
-    invisible = simulation.invisible_parameters(faulty_robot, *campaigns).items()
+        files[tcp] = campaign_text(points, faulty_robot.spec)
+    invisible = simulation.invisible_parameters(faulty_robot, campaign).items()
     counts = [f"{click.format_filename(p)}: {t.count(chr(10)) - 1} rows" for p, t in files.items()]
     deliver(text.rstrip("\n") if out is None else "\n".join(counts), files)
     warn(tuple(f"{name} changes no reading, as {reason}" for name, reason in invisible))
@@ -287,7 +285,7 @@ def _design_for_instruments(
 ) -> None:  # fmt: skip
     """Print the smallest effects that instruments detect, and write their sheet at the tool."""
     from orthoglide import planning
-    from orthoglide.observations import readings_text
+    from orthoglide.observations import campaign_text
 
     with progress(quiet) as step:
         step(Step("computing", "what the instruments would tell"))
@@ -302,7 +300,7 @@ def _design_for_instruments(
         by_place = machine.spec.kinematics is not None
         if not (sheets := planning.blank_tool_sheets(owned_sheets.values())):
             raise InputError("orthoglide protocol writes the sheets of dials alone")
-        files[out] = readings_text(sheets, machine.spec, commands_as_places=True)
+        files[out] = campaign_text(sheets, machine.spec, commands_as_places=True)
         moves = sum(len(sheet.moves) for sheet in sheets)
         between = f"; rows of kind move ({moves}): go there, read nothing" if moves else ""
         lines += ["", f"{click.format_filename(out)}: {sum(map(len, sheets))} readings of the "

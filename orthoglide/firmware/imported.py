@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import numpy as np
 
+from orthoglide.errors import FileError
 from orthoglide.geometry import Array
-from orthoglide.instruments import (
-    MATERIAL_COLUMN,
-    OBSERVATIONS,
-    PLATE_TURN_COLUMN,
-    TOOL_OFFSET_COLUMNS,
-)
-from orthoglide.layout import LinearDelta
+from orthoglide.instruments import OBSERVATIONS, Setup
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
-from orthoglide.observations import Readings, readings_from_rows
-from orthoglide.observations.schema import APPROACH, COMMANDS, TEMPERATURE, TRAVEL
+from orthoglide.observations import Readings
+from orthoglide.observations.checks import DECIMALS, check_commands, check_readings
 
-_DIGITS = 9  # decimals of millimetres in a file
 _MAX_NAME_LENGTH = 60  # characters of a name
 _FEW_TOUCHES = 30  # twice the 15 numbers of endstops, towers, arms and a plane
 _COLD, _HOT = -40.0, 100.0  # degrees Celsius, of a frame or a bed on which a plate is touched
@@ -64,29 +59,8 @@ class Row:
     turned: float = 0.0  # by how much the plate was turned on its seat, degrees
     temperature: float = float("nan")  # that the firmware recorded then, degrees Celsius
     material: str = ""  # of a part on which a distance was read
-
-    def cells(self) -> dict[str, str]:
-        """Return the reading as a row of a file."""
-        touches, legs = OBSERVATIONS[self.kind].touches, LinearDelta.names.legs
-        second = [None] * 3 if self.second is None else self.second
-        beside = [0.0] * 2 if self.beside is None else self.beside
-        cells: dict[str, float | None] = {
-            **dict(zip(TRAVEL.names(legs), self.travel, strict=True)),
-            **dict(zip(COMMANDS[TRAVEL].names(legs), second, strict=True)),
-            **dict(zip(TOOL_OFFSET_COLUMNS, beside, strict=False)),
-            "reading_mm": self.reading,
-            "sigma_mm": self.sigma,
-        }
-        return {
-            "kind": self.kind,
-            "setup": self.setup,
-            "posture": self.label,
-            **{name: _millimetres(value) for name, value in cells.items()},
-            **dict.fromkeys(APPROACH.names(legs), "-1" if touches else ""),  # from above
-            PLATE_TURN_COLUMN: f"{self.turned:g}" if touches else "",
-            TEMPERATURE.name: temperature_cell(self.temperature),
-            MATERIAL_COLUMN: self.material,
-        }
+    repeat: int = 1  # number of the visit
+    line: int | None = None  # in the file; ``None``: that of the campaign to be written
 
 
 def plain_name(text: str, default: str) -> str:
@@ -104,27 +78,57 @@ def note_few_touches(touch_count: int) -> Iterator[Note]:
         )
 
 
-def temperature_cell(temperature: float) -> str:
-    """Return a temperature as a cell of a file; empty if no machine has such a temperature."""
-    return f"{temperature:g}" if _COLD < temperature < _HOT else ""
+def campaign_of_rows(
+    name: str, rows: Sequence[Row], machine: MachineFile, file: str = ""
+) -> Readings:
+    """Return readings, one or more, of a machine as they are read back from a campaign's file.
 
-
-def _millimetres(value: float | None) -> str:
-    return "" if value is None or np.isnan(value) else repr(round(float(value) * 1e3, _DIGITS))
-
-
-def readings_from_cells(
-    name: str, rows: Sequence[Mapping[str, str]], machine: MachineFile,
-    lines: Sequence[int] = (), file: str = "",
-) -> Readings:  # fmt: skip
-    """Return rows of cells by column, one or more, as the readings of a machine.
-
-    Errors name the line of a row in a file, if these are given.
+    A plate is touched from above; from where the ends of a distance are reached is unknown.
 
     Raises:
         FileError: if the readings cannot be used.
     """
-    used_columns = {key for row in rows for key, cell in row.items() if cell}
-    cells = [{key: cell for key, cell in row.items() if key in used_columns} for row in rows]
-    (readings,) = readings_from_rows(cells, machine, name=name, lines=lines, file=file)
+    lines = [k + 2 if row.line is None else row.line for k, row in enumerate(rows)]
+
+    def fail(message: str, row: int | None = None) -> NoReturn:
+        raise FileError(message, file=file or name, line=None if row is None else lines[row])
+
+    def rounded(values: Any) -> Array:
+        return np.round(np.array(values, dtype=float), DECIMALS) + 0.0
+
+    def command(travel: Any) -> Array:
+        travel = rounded(travel).reshape(-1, 3)
+        shown = machine.controller.from_rho(travel, machine.geometry)
+        return check_commands(shown, True, machine, fail)
+
+    setups = dict[str, Setup]()
+    for row in rows:
+        x, y = rounded(np.zeros(2) if row.beside is None else row.beside).tolist()
+        setups[row.setup] = Setup(
+            row.setup, kind=row.kind, beside=(x, y, 0.0), turned=row.turned, material=row.material
+        )
+    numbers = {setup: number for number, setup in enumerate(setups)}
+    touches = np.array([[OBSERVATIONS[row.kind].touches] for row in rows])
+    second = np.full((len(rows), 3), np.nan)
+    paired = [k for k, row in enumerate(rows) if row.second is not None]
+    second[paired] = command([rows[k].second for k in paired])
+    temperature = np.array([row.temperature for row in rows])
+    readings = Readings(
+        name,
+        tuple(setups.values()),
+        np.array([numbers[row.setup] for row in rows]),
+        command([row.travel for row in rows]),
+        rounded([row.reading for row in rows]),
+        np.repeat(np.where(touches, -1.0, 0.0), 3, axis=1),
+        temperature=np.where((temperature > _COLD) & (temperature < _HOT), temperature, np.nan),
+        repeat=np.array([row.repeat for row in rows]),
+        order=np.arange(1, len(rows) + 1),
+        posture=tuple(row.label for row in rows),
+        sigma=rounded([row.sigma for row in rows]),
+        line=np.array(lines),
+        second=second,
+        file=file,
+        legs=machine.geometry.layout.names,
+    )
+    check_readings(readings, machine, fail)
     return readings

@@ -19,18 +19,17 @@ from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.firmware.imported import (
     Imported,
+    Row,
+    campaign_of_rows,
     note_few_touches,
     plain_name,
-    readings_from_cells,
-    temperature_cell,
 )
 from orthoglide.firmware.touches import MIN_PLACES, Touch, TouchLists, read_touches
 from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import fit_plane
 from orthoglide.instruments import PlateTouch
-from orthoglide.machine_file import AnyMachine, DeltaKinematics, MachineFile, machine_file_of
+from orthoglide.machine_file import AnyMachine, DeltaKinematics, machine_file_of
 from orthoglide.notes import Note
-from orthoglide.observations.schema import APPROACH, PLACE, TEMPERATURE
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.text import printable_path
 
@@ -78,10 +77,11 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
     stem = plain_name(Path(path).stem, "points")
     names = [stem] if len(lists) == 1 else [f"{stem}-{k}" for k in range(1, len(lists) + 1)]
     campaigns = tuple(
-        readings_from_cells(name, list(_rows(name, touches, machine)), machine,
-                            [touch.line for touch in touches], printable_path(path))
+        campaign_of_rows(
+            name, list(_rows(name, touches, kinematics)), machine, printable_path(path)
+        )
         for name, touches in zip(names, lists, strict=True)
-    )  # fmt: skip
+    )
     differing = list(disagreements(kinematics, campaigns, relative=True))
     notes = (*_notes(lists, touch_lists, printable_path(path)), *(note for *_, note in differing))
     return Imported(machine, campaigns, notes, () if differing else tuple(names))
@@ -125,22 +125,16 @@ def _usable_touches(
     return []
 
 
-def _rows(name: str, touches: Sequence[Touch], machine: MachineFile) -> Iterator[dict[str, str]]:
-    """Yield touches as rows of a file of readings."""
+def _rows(name: str, touches: Sequence[Touch], kinematics: DeltaKinematics) -> Iterator[Row]:
+    """Yield touches as readings; a place that is touched again at once is visited again."""
+    travel = kinematics.travel(np.array([(t.x, t.y, t.z) for t in touches]) * 1e-3)
     repeat = 1
-    for k, touch in enumerate(touches):
+    for k, (touch, position) in enumerate(zip(touches, travel, strict=True)):
         repeat = repeat + 1 if k and touch.place == touches[k - 1].place else 1
-        place = dict(zip(PLACE.names(), map(repr, (touch.x, touch.y, touch.z)), strict=True))
-        yield {
-            "kind": PlateTouch.kind,
-            "setup": name,
-            "posture": f"{touch.x:g} {touch.y:g}",
-            **place,
-            "repeat": str(repeat),
-            "reading_mm": "0",
-            TEMPERATURE.name: temperature_cell(touch.temperature),
-            **dict.fromkeys(APPROACH.names(machine.geometry.leg_names), "-1"),  # from above
-        }
+        yield Row(
+            PlateTouch.kind, name, f"{touch.x:g} {touch.y:g}", position, 0.0,
+            temperature=touch.temperature, repeat=repeat, line=touch.line,
+        )  # fmt: skip
 
 
 def _left_out_sentences(touch_lists: TouchLists) -> Iterator[str]:

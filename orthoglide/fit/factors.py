@@ -143,7 +143,9 @@ class Factor(MeasurementModel):
 
     def setups_of(self, effect: Effect) -> tuple[str, ...]:
         """Return the setups of which an instrument's effect has parameters."""
-        return tuple(s.name for s in self.readings.setups if s.takes(effect))
+        return tuple(
+            s.name for s in self.readings.setups if s.observation.is_affected_by(effect, s)
+        )
 
     # Other factors -------------------------------------------------------------------------
 

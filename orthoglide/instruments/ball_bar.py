@@ -26,7 +26,7 @@ from orthoglide.instruments.observation import (
     vector,
 )
 from orthoglide.instruments.pose_estimation import estimate_sphere_centre, plane_normal
-from orthoglide.instruments.unit_and_frame_checks import wrong_bar_unit
+from orthoglide.instruments.unit_and_frame_checks import wrong_unit
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2
@@ -98,4 +98,10 @@ class BallBar(Observation):
         self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
         """Return a sentence on the unit that the lengths seem to have by mistake."""
-        return wrong_bar_unit(readings.p, readings.value)
+
+        def residual(length: Array) -> Array:
+            centre = estimate_sphere_centre(readings.p, length)
+            difference = length - np.linalg.norm(readings.p - centre, axis=1)
+            return np.asarray(difference - difference.mean())
+
+        return wrong_unit(readings.value, residual)

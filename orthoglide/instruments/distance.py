@@ -54,13 +54,9 @@ class Distance(Observation):
     setup_columns = (*TOOL_OFFSET_COLUMNS, MATERIAL_COLUMN)
     nuisance_count = 2
 
-    def kind_is_affected_by(self, effect: Effect) -> bool:
-        """Return whether an effect changes the size of a part."""
-        return effect.part is not None
-
-    def setup_is_affected_by(self, setup: Setup, effect: Effect) -> bool:
-        """Return whether the part is printed: only its size may have an effect of its own."""
-        return setup.material == PRINTED
+    def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
+        """Return whether an effect changes the size of a part; of other than printed ones, none."""
+        return effect.part is not None and (setup is None or setup.material == PRINTED)
 
     def shared_nuisance_name(self, setup: Setup, index: int) -> str:
         """Return one name for the scale of all printed parts of a file."""
@@ -91,7 +87,7 @@ class Distance(Observation):
         self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
         """Return a sentence on the unit that the distances seem to have by mistake."""
-        return wrong_unit(readings.value, distance)
+        return wrong_unit(readings.value, lambda value: value - distance)
 
     def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return pairs of points of the ring that are two apart, four apart, and opposite."""

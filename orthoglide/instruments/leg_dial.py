@@ -98,7 +98,7 @@ class LegDial(Observation):
     min_postures = 2
     nuisance_count = 2
 
-    def kind_is_affected_by(self, effect: Effect) -> bool:
+    def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
         """Return whether an effect changes what a dial shows."""
         return effect.dial is not None
 

@@ -159,13 +159,6 @@ class Setup:
         """The kind of its readings."""
         return OBSERVATIONS[self.kind]
 
-    def takes(self, effect: Effect) -> bool:
-        """Return whether an effect of instruments changes its readings."""
-        observation = self.observation
-        return observation.kind_is_affected_by(effect) and observation.setup_is_affected_by(
-            self, effect
-        )
-
     @property
     def gauges(self) -> tuple[float, ...]:
         """Position of each of its dials along the leg's own axis, as ``gauge``, metres."""
@@ -261,13 +254,11 @@ class Observation(ABC):
         """Unit of its readings in files and texts."""
         return "mrad" if self.angular else "mm"
 
-    def kind_is_affected_by(self, effect: Effect) -> bool:
-        """Return whether an effect of instruments can change readings of this kind."""
+    def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
+        """Return whether an effect of instruments changes readings of a setup; without one, whether
+        it can change readings of this kind.
+        """
         return False
-
-    def setup_is_affected_by(self, setup: Setup, effect: Effect) -> bool:
-        """Return whether an effect that changes readings of this kind acts in a setup."""
-        return True
 
     def setup_error(self, setup: Setup) -> str:
         """Return what is wrong with a setup of this kind, as a clause; empty if nothing is."""

@@ -46,7 +46,7 @@ class PlateTouch(Observation):
     setup_columns = (*TOOL_OFFSET_COLUMNS, PLATE_TURN_COLUMN)
     nuisance_count = 3
 
-    def kind_is_affected_by(self, effect: Effect) -> bool:
+    def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
         """Return whether an effect bends the plate."""
         return bool(effect.plate)
 

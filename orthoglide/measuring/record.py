@@ -123,4 +123,4 @@ class Record:
         unused = {"kind": "move", "reading_mm": ""}
         used = [row if len(stations.get(row["setup"], ())) > 1 else row | unused for row in rows]
         table = rows_table(used, printable_path(self.path))
-        return readings_of_table(table, self.path.stem, self.machine_file)[0]
+        return readings_of_table(table, self.path.stem, self.machine_file)

@@ -26,8 +26,6 @@ from orthoglide.observations.writing import (
     campaign_rows as campaign_rows,
     campaign_text as campaign_text,
     csv_text as csv_text,
-    readings_text as readings_text,
-    tcp_rows as tcp_rows,
     write_campaign as write_campaign,
 )
 

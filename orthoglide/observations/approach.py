@@ -121,36 +121,6 @@ def built_up_lost_motion(
     return lost_motion[:, len(moves) :]
 
 
-def impossible_approach(
-    command: Array, approach: Array, order: ArrayLike, moves: Moves
-) -> NDArray[np.bool_]:
-    """Return the axes whose recorded direction contradicts the sequence of commands ``(n, 3)``.
-
-    Moves before the first row and in gaps of the order are unknown: the direction recorded there
-    is accepted.
-
-    Args:
-        command: commands of the readings ``(n, 3)``, metres.
-        approach: recorded directions ``(n, 3)``, 0 where unknown.
-        order: position in the sequence ``(n,)``.
-        moves: commands between the readings.
-    """
-    all_commands, positions, sequence = _with_moves(command, order, moves)
-    recorded = np.vstack([np.zeros((len(moves), 3)), approach])
-    wrong = np.zeros(all_commands.shape, dtype=bool)
-    direction, previous_row = np.zeros(3), -1
-    for row in sequence:
-        if previous_row < 0 or positions[row] - positions[previous_row] > 1:
-            direction = np.zeros(3)
-        else:
-            step = all_commands[row] - all_commands[previous_row]
-            direction = np.where(np.abs(step) > MIN_MOVE, np.sign(step), direction)
-        wrong[row] = recorded[row] * direction < 0
-        direction = np.where(direction == 0, recorded[row], direction)
-        previous_row = row
-    return wrong[len(moves) :]
-
-
 def _with_moves(command: ArrayLike, order: ArrayLike, moves: Moves) -> tuple[Array, Ints, Ints]:
     """Return commands ``(m + n, 3)`` and positions of moves and readings, and the indices that
     sort them by position.

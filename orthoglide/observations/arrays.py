@@ -21,10 +21,6 @@ class ArraySpec(NamedTuple):
     allows_nan: bool = False
     default: float | None = None  # of every entry; None if the array must be given
 
-    def default_array(self, n: int) -> Array:
-        """Return an array of ``n`` default entries."""
-        return np.full((n, *self.shape), self.default, dtype=float)
-
 
 INTEGER, VECTOR = ArraySpec(np.int64), ArraySpec(shape=(3,))
 OPTIONAL_NUMBER = ArraySpec(allows_nan=True, default=np.nan)
@@ -65,50 +61,36 @@ def equal_rows(table: Array | Ints) -> Ints:
     return np.array([numbers.setdefault(row, len(numbers)) for row in rows], dtype=np.int64)
 
 
-def freeze_arrays(
-    owner: Any, owner_name: str, specs: Mapping[str, ArraySpec], counted: str
-) -> None:
-    """Replace attributes of a frozen value by checked, read-only arrays.
-
-    Args:
-        owner: the value.
-        owner_name: its name in messages.
-        specs: specification of each array, by attribute.
-        counted: attribute whose length all arrays have.
+def checked_array(values: Any, spec: ArraySpec, n: int, name: str) -> NDArray[Any]:
+    """Return ``n`` values as a read-only array; a single value counts for all.
 
     Raises:
         InputError: naming the array, and its right shape or the first wrong entry.
     """
-    n = len(np.asarray(getattr(owner, counted)))
-    for name, spec in specs.items():
-        given = np.asarray(getattr(owner, name), dtype=np.float64)
-        if given.shape != (n, *spec.shape):
-            raise InputError(
-                f"{owner_name}: {name} must have shape {(n, *spec.shape)} as there are {n} "
-                f"readings, not {given.shape}"
-            )
-        wrong = np.flatnonzero(_invalid_entries(given, spec).any(axis=tuple(range(1, given.ndim))))
-        if len(wrong):
-            number = "a whole number" if spec.dtype is np.int64 else "a finite number"
-            raise InputError(
-                f"{owner_name}: {name} of row {wrong[0]} (counted from 0) is "
-                f"{given[wrong[0]].tolist()}, not {number}: correct it"
-            )
-        values: NDArray[Any] = given.astype(spec.dtype)
-        values.setflags(write=False)
-        object.__setattr__(owner, name, values)
-    if not np.isin(owner.approach, (-1.0, 0.0, 1.0)).all():
+    given = np.asarray(spec.default if values is None else values, dtype=np.float64)
+    if given.shape in ((), spec.shape):
+        given = np.broadcast_to(given, (n, *spec.shape))
+    if given.shape != (n, *spec.shape):
         raise InputError(
-            f"{owner_name}: approach is +1 or -1 for each axis, or 0 where it is not known"
+            f"{name} must have shape {(n, *spec.shape)} as there are {n} readings, not "
+            f"{given.shape}"
         )
+    if spec.dtype is np.int64:
+        number, invalid = "a whole number", given != np.round(given)
+    else:
+        number, invalid = "a finite number", ~np.isfinite(given)
+        invalid &= ~np.isnan(given) if spec.allows_nan else True
+    wrong = np.flatnonzero(invalid.any(axis=tuple(range(1, given.ndim))))
+    if len(wrong):
+        raise InputError(
+            f"{name} of row {wrong[0]} (counted from 0) is {given[wrong[0]].tolist()}, not "
+            f"{number}: correct it"
+        )
+    checked: NDArray[Any] = given.astype(spec.dtype)
+    checked.setflags(write=False)
+    return checked
 
 
 def source(readings: Any) -> str:
     """Return the origin of readings in words: their file without its folder, or their name."""
     return str(readings.file.rpartition("/")[2] or readings.name)
-
-
-def _invalid_entries(given: Array, spec: ArraySpec) -> NDArray[np.bool_]:
-    if spec.dtype is np.int64:
-        return np.asarray(given != np.round(given))
-    return np.asarray(np.isinf(given) if spec.allows_nan else ~np.isfinite(given))

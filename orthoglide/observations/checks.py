@@ -14,12 +14,7 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array
-from orthoglide.instruments import (
-    OBSERVATIONS,
-    PLATE_TURN_COLUMN,
-    TOOL_OBSERVATIONS,
-    TOOL_OFFSET_COLUMNS,
-)
+from orthoglide.instruments import OBSERVATIONS, TOOL_OBSERVATIONS
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
@@ -91,17 +86,14 @@ def check_commands(values: Array, are_travel: bool, machine: MachineFile, fail: 
 
 def check_layout(kinds: Sequence[str], machine: MachineFile, fail: Fail) -> None:
     """Refuse rows of kinds that read legs on a machine without dials on its legs."""
-    if machine.geometry.dialled:
-        return
-    leg_rows = [k for k, kind in enumerate(kinds) if kind == MOVE or OBSERVATIONS[kind].on_leg]
-    if len(leg_rows) < len(kinds):
-        return
-    fail(
-        f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
-        f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
-        f"({', '.join(TOOL_OBSERVATIONS)})",
-        next((k for k in leg_rows if kinds[k] != MOVE), 0),
-    )
+    rows = [k for k, kind in enumerate(kinds) if kind != MOVE and OBSERVATIONS[kind].on_leg]
+    if rows and not machine.geometry.dialled:
+        fail(
+            f"dials on the legs are read on an Orthoglide only, and this machine's layout is "
+            f"{machine.geometry.layout.kind}: name the kind of the reading in column kind "
+            f"({', '.join(TOOL_OBSERVATIONS)})",
+            rows[0],
+        )
 
 
 def check_firmware(marks: Sequence[str], machine: MachineFile, fail: Fail) -> None:
@@ -178,7 +170,7 @@ def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tupl
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
         warnings = [note for notice in NOTICES for note in notice(campaign, machine)]
-    for rule in (_check_noise, _check_places, _check_distances, _check_bars, _check_duplicates):
+    for rule in (_check_noise, _check_distances, _check_duplicates):
         rule(readings, fail)
     return tuple(warnings)
 
@@ -197,21 +189,6 @@ def _check_noise(readings: Readings, fail: Fail) -> None:
         )
 
 
-def _check_places(readings: Readings, fail: Fail) -> None:
-    for index, setup in enumerate(readings.setups):
-        setup_columns, row = (
-            setup.observation.setup_columns,
-            int(np.argmax(readings.setup == index)),
-        )
-        takes_offset = setup.observation.on_leg or set(TOOL_OFFSET_COLUMNS) & set(setup_columns)
-        if any(setup.beside) and not takes_offset:
-            empty = ", ".join(TOOL_OFFSET_COLUMNS)
-            fail(f"a level shows the same wherever it stands: leave {empty} empty", row)
-        if setup.turned and PLATE_TURN_COLUMN not in setup_columns:
-            column = f"({PLATE_TURN_COLUMN})"
-            fail(f"only a plate is turned on its seat {column}, nothing of a {setup.kind}", row)
-
-
 def _check_distances(readings: Readings, fail: Fail) -> None:
     paired = readings.paired & np.isfinite(readings.reading)
     coincident = (np.abs(readings.second - readings.command) < 1e-6).all(axis=1)
@@ -223,16 +200,6 @@ def _check_distances(readings: Readings, fail: Fail) -> None:
         fail("a distance must be above 0: correct it", int(not_positive[0]))
     if paired.any() and readings.reading[paired].max() < 1e-3:
         fail("all distances are below 1 mm: give millimetres, not metres", 0)
-
-
-def _check_bars(readings: Readings, fail: Fail) -> None:
-    bars = np.flatnonzero(readings.about_ball & np.isfinite(readings.reading))
-    # Only lengths are checked: deviations are near zero and of any sign.
-    length = np.abs(readings.reading[bars])
-    negative = readings.reading[bars] < 0
-    if negative.any() and not negative.all() and length.min() > length.max() / 2:
-        wrong = negative if negative.mean() < 0.5 else ~negative
-        fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
 
 
 def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, Observation, Setup
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import MachineFile
@@ -36,8 +36,7 @@ _UNIQUE_NAME_REMEDY = (
 )
 """Remedies for two setups of one name, of dials and of the tool."""
 
-_COMMAND_TOLERANCE = 2e-9  # metres: commands that were rounded to a nanometre
-_PLACE_TOLERANCE = 1e-8  # metres: commands and places, both rounded to a nanometre
+_AGREEMENT = 1e-8  # metres: commands that are stated in two ways, both rounded to a nanometre
 _PLACE_WITHOUT_HEIGHT = replace(PLACE, empty_value=NAN)  # the height is empty before a touch
 
 
@@ -51,44 +50,29 @@ def native_command_names(names: LegNames) -> tuple[str, ...]:
     return native_command_column(names).names(names.legs)
 
 
-def stated_commands(table: Table, machine: MachineFile | None = None) -> Column:
+def stated_commands(table: Table, machine: MachineFile) -> Column:
     """Return the columns in which a table states its commands.
 
     Raises:
         FileError: if two ways of stating them disagree, or the columns are of another layout.
     """
-    is_delta = machine is not None and not machine.geometry.dialled
-    legs = machine.geometry.leg_names if machine is not None and is_delta else LEGS
+    legs, is_delta = machine.geometry.leg_names, not machine.geometry.dialled
     native, other = (TRAVEL, PLACE) if is_delta else (RHO, TRAVEL)
-    stated = [set(c.names(legs)) & set(table.names) for c in (native, other)]
     if not is_delta and "travel_a_mm" in table.names:
         table.fail(
             "has the columns of a linear delta: give its machine file, with [layout], by --machine"
         )
-    if not stated[1] or (machine is not None and is_delta and machine.kinematics is None):
+    names = [set(column.names(legs)) for column in (native, other)]
+    if not names[1] & set(table.names) or (is_delta and machine.kinematics is None):
         return native
-    if not stated[0]:
+    if not names[0] & set(table.names):
         return other
-    if machine is None or not _commands_agree(table, machine, legs):
-        both = f"{native.names(legs)[0]} and {other.names(legs)[0]}"
-        table.fail(
-            f"has {both}, and they disagree: keep those of one kind"
-            if is_delta
-            else "has both rho_ and travel_ columns: keep the three of one kind"
-        )
-    return native  # `compensate` writes both
-
-
-def _commands_agree(table: Table, machine: MachineFile, legs: tuple[str, str, str]) -> bool:
-    """Return whether both ways in which a table states its commands agree."""
-    if machine.geometry.dialled and not {*RHO.names(), *TRAVEL.names()} <= set(table.names):
-        return False
-    from_travel = machine.controller.to_rho(table.array(TRAVEL, legs), machine.geometry)
-    if machine.geometry.dialled or machine.kinematics is None:
-        expected, tolerance = table.array(RHO), _COMMAND_TOLERANCE
-    else:
-        expected, tolerance = machine.kinematics.travel(table.array(PLACE)), _PLACE_TOLERANCE
-    return bool(np.abs(from_travel - expected).max(initial=0.0) <= tolerance)
+    if (names[0] | names[1]) <= set(table.names):  # `compensate` writes both
+        difference = commands(table, native, machine) - commands(table, other, machine)
+        if np.abs(difference).max(initial=0.0) <= _AGREEMENT:
+            return native
+    both = f"{native.names(legs)[0]} and {other.names(legs)[0]}"
+    table.fail(f"has {both}, and they disagree: keep those of one kind")
 
 
 def commands(table: Table, column: Column, machine: MachineFile) -> Array:

@@ -9,10 +9,8 @@ import numpy as np
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
-from orthoglide.numerals import compact
-from orthoglide.observations.approach import impossible_approach
 from orthoglide.observations.readings import Readings
-from orthoglide.observations.schema import APPROACH, SIGMAS, TEMPERATURE, TIME
+from orthoglide.observations.schema import SIGMAS, TEMPERATURE, TIME
 
 MIN_AXIS_MOTION = 1e-3
 """Least range of commands over which an axis counts as moving, metres, or a tenth of the stroke if
@@ -24,38 +22,11 @@ STILL_DIAL_STEPS = 2 - 1e-6
 ZERO_READING = 1e-8
 """Readings below this are zeros of a simulated perfect machine, metres."""
 
-_USUAL_GAUGES = (0.5, 0.25)
-"""Usual places of dials, in lengths of the leg."""
-
-_RULER_TOLERANCE = 1e-4
-"""Accuracy of a place taken from a ruler or a drawing, metres."""
-
-_MAX_LINES_NAMED = 5  # lines named in a warning
-
 
 def min_axis_motion(machine: MachineFile) -> float:
     """Return the least range of commands over which an axis counts as moving, metres."""
     low, high = machine.geometry.stroke
     return min(MIN_AXIS_MOTION, (high - low) / 10)
-
-
-def _note_impossible_approaches(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
-    if np.array_equal(campaign.approach, campaign.derived_approach):
-        return
-    wrong = impossible_approach(campaign.command, campaign.approach, campaign.order, campaign.moves)
-    if not wrong.any():
-        return
-    columns = " and ".join(np.array(APPROACH.names())[wrong.any(axis=0)])
-    lines = tuple(campaign.line[wrong.any(axis=1)].tolist())
-    line_list = ", ".join(map(str, lines[:_MAX_LINES_NAMED]))
-    line_list += " ..." if len(lines) > _MAX_LINES_NAMED else ""
-    yield Note(
-        f"{columns} cannot come from the order of the rows ({len(lines)} rows: line {line_list}): "
-        "if the machine made further moves enter them as rows of kind move, else correct the "
-        "columns",
-        "approach",
-        lines,
-    )
 
 
 def _note_still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
@@ -67,20 +38,6 @@ def _note_still_legs(campaign: Readings, machine: MachineFile) -> Iterator[Note]
                 "setups: they say little about its length and axis",
                 "command",
             )
-
-
-def _note_gauges_with_r(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
-    length, r = machine.geometry.L, machine.geometry.r
-    gauge = np.array([place for s in campaign.setups for place in s.gauges])
-    excess = gauge[:, None] - np.multiply(_USUAL_GAUGES, length)
-    if r > _RULER_TOLERANCE and (np.abs(excess - r) <= _RULER_TOLERANCE).any(axis=1).all():
-        places = " and ".join(compact(place * 1e3, 6) for place in np.unique(gauge))
-        yield Note(
-            f"gauge_mm is {places} mm, which is half or a quarter of L with r = {r * 1e3:g} mm "
-            "added: it is counted with r removed, as commands are; take r away unless the dials "
-            "do stand there",
-            "gauge",
-        )
 
 
 def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
@@ -114,9 +71,7 @@ def _note_partly_recorded(campaign: Readings, machine: MachineFile) -> Iterator[
 
 
 NOTICES = (
-    _note_impossible_approaches,
     _note_still_legs,
-    _note_gauges_with_r,
     _note_still_dial,
     _note_partly_recorded,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError, check_choice
-from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import Parallelism, Setup
 from orthoglide.numerals import compact
 from orthoglide.observations.approach import Moves, derive_approach, stroke_overshoot
@@ -138,16 +138,19 @@ def leg_dial_campaign(
     )
     visit = np.repeat(np.arange(len(visits)), 2)  # two dials read at each
     mounting = visit // (repeats * len(postures))
-    command = [geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits]
-    sheet = unread_campaign(
-        geometry,
+    command = np.array([geometry.command_on_axis(leg, travel) for leg, _, (_, travel) in visits])
+    command = np.round(command, _LABEL_DECIMALS)[visit]  # what fits on a sheet
+    sheet = Readings(
         name,
         setups,
         2 * mounting + np.arange(len(visit)) % 2,
-        np.round(command, _LABEL_DECIMALS)[visit],  # what fits on a sheet
-        posture=[visits[k][2][0] for k in visit],
-        repeat=np.array([repeat for _, repeat, _ in visits])[visit],
+        command,
+        np.full(len(visit), np.nan),
+        derive_approach(command, np.arange(len(visit))),
         time=visit * VISIT_SECONDS + mounting * (MOUNTING_SECONDS - VISIT_SECONDS),
+        repeat=np.array([repeat for _, repeat, _ in visits])[visit],
+        posture=tuple(visits[k][2][0] for k in visit),
+        moves=Moves(overshoot=stroke_overshoot(geometry.stroke)),
     )
     return sheet.with_moves()
 
@@ -164,49 +167,6 @@ def dial_setup(
         return Setup(name, leg, axis, 1, gauge, bar)
     kind, second_gauge = Parallelism.kind, round(second * geometry.L, 9)
     return Setup(f"{name}-{second:g}", leg, axis, 1, gauge, bar, kind, second_gauge)
-
-
-def unread_campaign(
-    geometry: Geometry,
-    name: str,
-    setups: Sequence[Setup],
-    setup: ArrayLike,
-    command: Array,
-    approach: Array | None = None,
-    *,
-    posture: Sequence[str],
-    repeat: ArrayLike = 1,
-    time: ArrayLike = np.nan,
-    load: float = 0.0,
-) -> Readings:
-    """Return a campaign without readings, whose rows are in the order of measurement.
-
-    Args:
-        geometry: whose stroke limits the moves.
-        name: of the campaign.
-        setups: the mountings.
-        setup: index into them ``(n,)``.
-        command: joint coordinates ``(n, 3)``, metres.
-        approach: required directions ``(n, 3)``; if None, those that follow from the order.
-        posture: labels for people, ``n`` of them.
-        repeat: number of the repetition ``(n,)``.
-        time: planned, seconds ``(n,)``.
-        load: at the TCP, newtons.
-    """
-    n = len(command)
-    return Readings(
-        name=name,
-        setups=tuple(setups),
-        setup=np.asarray(setup),
-        command=command,
-        reading=np.full(n, np.nan),
-        approach=derive_approach(command, np.arange(n)) if approach is None else approach,
-        time=np.broadcast_to(np.asarray(time, dtype=float), n),
-        load=np.full(n, load),
-        repeat=np.broadcast_to(np.asarray(repeat), n),
-        posture=tuple(posture),
-        moves=Moves(overshoot=stroke_overshoot(geometry.stroke)),
-    )
 
 
 def _check_on_leg(

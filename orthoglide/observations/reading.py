@@ -58,7 +58,7 @@ from orthoglide.observations.schema import (
     columns_for_command,
 )
 from orthoglide.observations.table import Table, frame_table, read_table, rows_table
-from orthoglide.observations.tables import concatenated, from_points
+from orthoglide.observations.tables import from_points, split_legs_and_tool
 
 _HEAD_BYTES = 2**16  # bytes of a file that identify the program that wrote it
 
@@ -85,28 +85,6 @@ def read_campaign(
     Raises:
         FileError: naming the line and what would be right.
     """
-    return concatenated(read_readings(path, machine_file, require_readings=require_readings))
-
-
-def read_readings(
-    path: str | os.PathLike[str],
-    machine_file: AnyMachine | None = None,
-    *,
-    require_readings: bool = True,
-) -> tuple[Readings, ...]:
-    """Read a file of readings of any kinds into separate tables of legs and of the tool.
-
-    Args:
-        path: as for `read_campaign`.
-        machine_file: as for `read_campaign`.
-        require_readings: as for `read_campaign`.
-
-    Returns:
-        A table of readings of legs, with the moves, a table of those of the tool, or both.
-
-    Raises:
-        FileError: naming the line and what would be right.
-    """
     try:
         table = read_table(path)
         return readings_of_table(table, Path(table.file).stem, machine_file, require_readings)
@@ -116,6 +94,18 @@ def read_readings(
             with suppress(OSError), Path(path).open("rb") as stream:
                 refuse_foreign(Path(path), stream.read(_HEAD_BYTES), accepted=("archive",))
         raise
+
+
+def read_readings(
+    path: str | os.PathLike[str],
+    machine_file: AnyMachine | None = None,
+    *,
+    require_readings: bool = True,
+) -> tuple[Readings, ...]:
+    """Read a file of readings as `read_campaign` does, into separate tables of legs, with the
+    moves, and of the tool.
+    """
+    return split_legs_and_tool(read_campaign(path, machine_file, require_readings))
 
 
 def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:
@@ -143,23 +133,23 @@ def readings_from_rows(
     lines: Sequence[int] = (),
     file: str = "",
     sha256: str = "",
-) -> tuple[Readings, ...]:
-    """Return readings from rows of text, as a result keeps those of its files; one table for rows
-    with points of the tool, as from `read_tcp`.
+) -> Readings:
+    """Return readings from rows of text, as a result keeps those of its files; rows with points of
+    the tool as from `read_tcp`.
 
     Args:
         rows: from column to text; the first row names all columns.
-        machine_file: as for `read_readings`.
+        machine_file: as for `read_campaign`.
         name: of the readings.
         lines: line of each row in the file; from 2 on where empty.
         file: the file's name.
         sha256: digest of the file.
 
     Raises:
-        FileError: as `read_readings`.
+        FileError: as `read_campaign`.
     """
     table = rows_table(rows, file or name, lines, sha256)
-    return tuple(replace(r, file=file) for r in readings_of_table(table, name, machine_file))
+    return replace(readings_of_table(table, name, machine_file), file=file)
 
 
 def readings_from_frame(
@@ -185,8 +175,8 @@ def readings_from_frame(
     machine = machine_file_of(machine_file)
     if controller is not None:
         machine = replace(machine, controller=controller)
-    tables = readings_of_table(frame_table(df, name), name, machine, require_readings)
-    return replace(concatenated(tables), file="")
+    readings = readings_of_table(frame_table(df, name), name, machine, require_readings)
+    return replace(readings, file="")
 
 
 Readings.from_frame = staticmethod(readings_from_frame)
@@ -194,38 +184,24 @@ Readings.from_frame = staticmethod(readings_from_frame)
 
 def readings_of_table(
     table: Table, name: str, machine_file: AnyMachine | None, require_readings: bool = True
-) -> tuple[Readings, ...]:
-    """Return separate tables of readings of legs, with the moves, and of the tool.
+) -> Readings:
+    """Return the readings of a table, with the moves.
 
     Raises:
         FileError: naming the line and what would be right.
     """
     machine = machine_file_of(machine_file)
-    point_columns = set(POINT.names()) & set(table.names)
-    if point_columns and not {SETUP.name, READINGS["mm"].name} & set(table.names):
-        return (_points_of_table(table, name, machine),)
-    kinds = table.values(KIND)
-    of_tool = rows_of_kinds(kinds, at_tool)
-    if not of_tool.any() or {kinds[k] for k in np.flatnonzero(~of_tool)} <= {MOVE}:
-        return (_one_table(table, name, machine, require_readings, kinds),)
-    legs, tool = (table.part(np.flatnonzero(rows)) for rows in (~of_tool, of_tool))
-    return (
-        _one_table(legs, name, machine, require_readings, kinds),
-        _one_table(tool, f"{name}-tool", machine, require_readings, kinds),
-    )
-
-
-def _one_table(
-    table: Table, name: str, machine: MachineFile, require_readings: bool, file_kinds: Sequence[str]
-) -> Readings:
-    """Return the readings of a table; ``file_kinds``: kinds of all rows of its file."""
+    if set(POINT.names()) & set(table.names) and not (
+        {SETUP.name, READINGS["mm"].name} & set(table.names)
+    ):
+        return _points_of_table(table, name, machine)
     row_kinds, legs = table.values(KIND), machine.geometry.leg_names
     kinds = [kind for kind in row_kinds if kind != MOVE]
     is_move = np.array([kind == MOVE for kind in row_kinds])
     check_layout(row_kinds, machine, table.fail)
     command = stated_commands(table, machine)
     warnings = table.check_names(
-        column_names([*_allowed_columns(file_kinds, command), RHO, TRAVEL], legs),
+        column_names([*_allowed_columns(kinds, command), RHO, TRAVEL], legs),
         column_names(_required_columns(kinds, command, require_readings), legs),
     )
     if is_move.all():
@@ -273,7 +249,11 @@ def _required_columns(
 
 
 def _read_sequence(
-    table: Table, rows: Table, is_move: NDArray[np.bool_], command: Column, machine: MachineFile
+    table: Table,
+    rows: Table,
+    is_move: NDArray[np.bool_],
+    command: Column,
+    machine: MachineFile,
 ) -> dict[str, Any]:
     """Return commands, order, approach and moves of the rows with readings, by attribute.
 
@@ -334,7 +314,14 @@ def _note_moves_with_readings(moves: Table) -> tuple[Note, ...]:
 def _points_of_table(table: Table, name: str, machine: MachineFile) -> Readings:
     """Return the readings of a table with a row for each point of the tool."""
     column, legs = stated_commands(table, machine), machine.geometry.leg_names
-    allowed = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
+    allowed = (
+        column,
+        RHO,
+        TRAVEL,
+        APPROACH,
+        POINT,
+        SIGMAS["mm"],
+    )
     warnings = table.check_names(column_names(allowed, legs), column_names((column, POINT), legs))
     p = table.array(POINT)
     command = commands(table, column, machine)

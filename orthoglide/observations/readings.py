@@ -27,7 +27,7 @@ from orthoglide.observations.approach import (
 )
 from orthoglide.observations.arrays import (
     READING_ARRAYS,
-    freeze_arrays,
+    checked_array,
     group_ids,
     source as source,
 )
@@ -49,7 +49,7 @@ class Readings:
     """Readings of one file or several, of any kinds, with a setup each.
 
     Only name, setups, commands and readings must be given; other defaults are those of an empty
-    cell.
+    cell. A single value of an array counts for all readings.
 
     Attributes:
         name: file stem; parameters specific to a campaign carry it.
@@ -121,28 +121,28 @@ class Readings:
                 raise InputError(
                     f"{self.name}: two setups are called {name!r}: give each mounting its own name"
                 )
-        n, setup = len(np.asarray(self.reading)), np.asarray(self.setup, dtype=float)
-        if n and setup.shape == (n,) and not ((setup > -1) & (setup < len(names))).all():
-            raise InputError(f"{self.name}: setup must index one of the {len(names)} setups")
-        self._fill(n, setup)
-        freeze_arrays(self, self.name, READING_ARRAYS, "reading")
-        if len(self.posture) != n:
-            raise InputError(f"{self.name}: {n} readings need {n} posture labels")
-
-    def _fill(self, n: int, setup: Array) -> None:
-        """Set defaults, and axes and signs of setups that have them."""
-        defaults: dict[str, Any] = {name: k.default_array(n) for name, k in READING_ARRAYS.items()}
-        defaults |= {"order": np.arange(n), "line": np.arange(n) + 2, "posture": ("",) * n}
-        for name, values in defaults.items():
+        n = len(np.asarray(self.reading))
+        counted = {"order": np.arange(n), "line": np.arange(n) + 2, "posture": ("",) * n}
+        for name, values in counted.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, values)
-        for name in ("axis", "sign"):
-            values = np.array(getattr(self, name), dtype=float)
-            if n and values.shape == setup.shape == (n,):
-                is_fixed = np.array([s.axis >= 0 for s in self.setups])[setup.astype(int)]
-                of_setup = np.array([float(getattr(s, name)) for s in self.setups])
-                values = np.where(is_fixed, of_setup[setup.astype(int)], values)
-            object.__setattr__(self, name, values)
+        for name, spec in READING_ARRAYS.items():
+            array = checked_array(getattr(self, name), spec, n, f"{self.name}: {name}")
+            object.__setattr__(self, name, array)
+        if not ((self.setup > -1) & (self.setup < len(names))).all():
+            raise InputError(f"{self.name}: setup must index one of the {len(names)} setups")
+        if not np.isin(self.approach, (-1.0, 0.0, 1.0)).all():
+            raise InputError(
+                f"{self.name}: approach is +1 or -1 for each axis, or 0 where it is not known"
+            )
+        if len(self.posture) != n:
+            raise InputError(f"{self.name}: {n} readings need {n} posture labels")
+        for name in ("axis", "sign"):  # of setups that have them
+            of_setup = [getattr(s, name) if s.axis >= 0 else np.nan for s in self.setups]
+            values = np.array(of_setup, dtype=float)[self.setup]
+            values = np.where(np.isnan(values), getattr(self, name), values)
+            array = checked_array(values, READING_ARRAYS[name], n, f"{self.name}: {name}")
+            object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return len(self.reading)
@@ -341,7 +341,7 @@ class Readings:
 
         Two dials that are read at one visit are mounted together.
         """
-        first_of_mounting = self._first_of_setup
+        first_of_mounting = self._first_of_setup & self.approach.any(axis=1)
         first_of_mounting[1:] &= (np.diff(self.command, axis=0) != 0).any(axis=1)
         moves, order = planned_moves(
             self.command, self.approach, first_of_mounting, self.moves.overshoot
@@ -363,21 +363,15 @@ class Readings:
         noise. A plate is always touched from above. The approach of a distance is unknown, as it is
         not known which end is visited first.
         """
-        first_of_setup = self._first_of_setup
         approach = derive_approach(self.command, np.arange(len(self)))
-        approach[first_of_setup] = 1.0
+        approach[self._first_of_setup] = 1.0
         _, first, visit = np.unique(
             np.column_stack([self.setup, self.command]),
             axis=0, return_index=True, return_inverse=True,
         )  # fmt: skip
-        has_side = ~(self.touching | self.paired)
-        approach = approach[first[visit.reshape(-1)]] * has_side[:, None]
-        first_of_mounting = first_of_setup & has_side
-        moves, order = planned_moves(
-            self.command, approach, first_of_mounting, self.moves.overshoot
-        )
+        approach = approach[first[visit.reshape(-1)]]
+        approach[self.touching | self.paired] = 0.0
+        sheet = replace(self, approach=approach).with_moves()
         approach[self.touching] = -1.0
-        return replace(
-            self, order=order + 1, approach=approach, moves=replace(moves, order=moves.order + 1),
-            line=order + 2,
-        )  # fmt: skip
+        moves = replace(sheet.moves, order=sheet.moves.order + 1)
+        return replace(sheet, approach=approach, order=sheet.order + 1, moves=moves)

@@ -171,13 +171,12 @@ def _setup_column(
     meaning: str,
     attribute: str,
     empty: Any = None,
-    all_tool_kinds: bool = False,
 ) -> Column:
-    """Return a column of setups: of the kinds that list it, or of all kinds of the tool."""
-    applies_to = (
-        at_tool if all_tool_kinds else lambda observation: name in observation.setup_columns
-    )
-    return Column(name, kind, meaning, attribute, empty, applies_to, per_setup=True)
+    """Return a column of setups of the kinds that list it."""
+    return Column(
+        name, kind, meaning, attribute, empty,
+        lambda observation: name in observation.setup_columns, per_setup=True,
+    )  # fmt: skip
 
 
 def _second_command_column(column: Column) -> Column:
@@ -258,11 +257,11 @@ SIGMAS = {
 }
 BESIDE = replace(_setup_column(BESIDE_NAMES[0], number_kind(MM),
     "Where the setup is read, from the tool along x, y and z of the platform: a probe beside the "
-    "nozzle, or a longer tool.", "beside", 0.0, all_tool_kinds=True),
+    "nozzle, or a longer tool.", "beside", 0.0),
     name="beside_{axis}_mm")
 TURN = _setup_column(PLATE_TURN_COLUMN, number_kind(_DEG, -360, 360),
     "How far the setup's plate was turned on its seat, counter-clockwise from above.",
-    "turned", 0.0, all_tool_kinds=True)
+    "turned", 0.0)
 PART = replace(_setup_column(MATERIAL_COLUMN,
     word_kind({name: name for name in SHRINKAGE_BY_MATERIAL if name}, empty_meaning=""),
     "Material of the part on which distances are read: `printed` parts are 0.3 ± 0.3 % smaller "

@@ -32,9 +32,7 @@ from orthoglide.observations.schema import (
     PLACE,
     POINT,
     POSTURE,
-    READINGS,
     RHO,
-    SETUP,
     SIGMAS,
     TIME,
     TRAVEL,
@@ -42,7 +40,7 @@ from orthoglide.observations.schema import (
     column_names,
     columns_for_command,
 )
-from orthoglide.observations.tables import concatenated, renumber_orders, split_legs_and_tool
+from orthoglide.observations.tables import concatenated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,9 +55,25 @@ _TEXT_COLUMNS = {column.name for column in COLUMNS if column.is_text}
 _PLACE_DECIMALS = 9  # decimals of a metre, of commanded places of the tool
 
 
-def campaign_text(campaign: Readings, machine_file: AnyMachine | None = None) -> str:
-    """Return the CSV text of readings; arguments as for `campaign_rows`."""
-    return csv_text(campaign_rows(campaign, machine_file))
+def campaign_text(
+    campaign: Readings | Sequence[Readings],
+    machine_file: AnyMachine | None = None,
+    *,
+    commands_as_places: bool = False,
+) -> str:
+    """Return the CSV text of readings; several tables follow each other in one file.
+
+    Args:
+        campaign: readings or a measuring sheet, of dials or of the tool, or several.
+        machine_file: as for `campaign_rows`.
+        commands_as_places: as for `campaign_rows`.
+
+    Raises:
+        InputError: if several tables cannot be one file, as `concatenated` says.
+    """
+    if not isinstance(campaign, Readings):  # lines of several files would be mixed
+        campaign = concatenated([replace(table, file="") for table in campaign])
+    return csv_text(campaign_rows(campaign, machine_file, commands_as_places=commands_as_places))
 
 
 def csv_text(rows: Sequence[Mapping[str, str]]) -> str:
@@ -96,14 +110,18 @@ def campaign_rows(
         From column to text; all rows have the same columns, in the order of the schema.
     """
     if campaign.by_point:
-        return tcp_rows(campaign, machine_file)
+        return _point_rows(campaign, machine_file)
     machine = None if machine_file is None else machine_file_of(machine_file)
     names = _leg_names(campaign.legs, machine)
     as_layout = machine is None or machine.controller == Controller()
     command = native_command_column(names) if as_layout else TRAVEL
     if commands_as_places and machine is not None and machine.kinematics is not None:
         command = PLACE
-    on_legs, columns = bool(campaign.on_legs.all()), Columns()
+    columns, on_legs = Columns(), bool(campaign.on_legs.all())
+    is_read = np.isfinite(campaign.reading)
+    if command is PLACE:  # the height of a touch that is still to be taken is what is read
+        to_touch = campaign.touching & ~is_read
+        campaign = campaign.with_readings(np.where(to_touch, 0.0, campaign.reading))
     observations = [setup.observation for setup in campaign.setups]
     for column in _columns_to_write(campaign, command, on_legs, write_approaches):
         has_column = np.array([column.applies_to(o) for o in observations])[campaign.setup]
@@ -111,20 +129,18 @@ def campaign_rows(
             values = _values_of_column(campaign, column, machine)
             columns |= _cells_of_column(column, values, names.legs, has_column)
     if np.isfinite(campaign.time).any():  # readings not taken yet have no time
-        is_read = np.isfinite(campaign.reading)
         columns |= _cells_of_column(TIME, campaign.time, has_column=is_read, always_written=True)
     if machine is not None and machine.firmware and not on_legs:
         columns[FIRMWARE.name] = [machine.firmware] * len(campaign)
     if command is PLACE:
-        columns |= _blank_pending_touches(campaign, columns)
+        height = PLACE.names()[2]
+        cells = zip(columns[height], to_touch.tolist(), strict=True)
+        columns[height] = ["" if pending else cell for cell, pending in cells]
     if not len(campaign.moves):
         return _rows_from_columns(columns)
     commands = _commands_for_file(campaign.moves.command, command, machine)
     moves = _rows_from_columns(_cells_of_column(command, commands, names.legs))
-    of_mounting = [
-        c for c in COLUMNS if c is SETUP or (on_legs and (c.per_setup or c is DIRECTION))
-    ]
-    return _insert_moves(_rows_from_columns(columns), campaign, moves, column_names(of_mounting))
+    return _insert_moves(_rows_from_columns(columns), campaign, moves)
 
 
 def _leg_names(names: LegNames, machine: MachineFile | None) -> LegNames:
@@ -201,20 +217,7 @@ def _commands_for_file(command: Array, column: Column, machine: MachineFile | No
     return np.asarray(np.round(shown, DECIMALS) + 0.0)
 
 
-def _blank_pending_touches(campaign: Readings, columns: Columns) -> Columns:
-    """Return heights and readings with empty heights and readings of 0 where a plate is still to
-    be touched, as its height is what is read.
-    """
-    is_pending = campaign.touching & np.isnan(campaign.reading)
-    height, read = PLACE.names()[2], READINGS["mm"].name
-    return {
-        name: [replacement if pending else cell
-               for cell, pending in zip(columns[name], is_pending.tolist(), strict=True)]
-        for name, replacement in ((height, ""), (read, "0")) if name in columns
-    }  # fmt: skip
-
-
-def tcp_rows(readings: Readings, machine_file: AnyMachine | None = None) -> list[Row]:
+def _point_rows(readings: Readings, machine_file: AnyMachine | None) -> list[Row]:
     """Return the rows of a file with a row for each point; empty optional columns are left out.
 
     Commands are joint coordinates of an Orthoglide, and the controller's values of other machines.
@@ -238,13 +241,12 @@ def _rows_from_columns(columns: Mapping[str, Sequence[str]]) -> list[Row]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def _insert_moves(
-    rows: list[Row], campaign: Readings, move_rows: Sequence[Row], mounting_columns: Sequence[str]
-) -> list[Row]:
+def _insert_moves(rows: list[Row], campaign: Readings, move_rows: Sequence[Row]) -> list[Row]:
     """Return rows of readings and moves by line; a move has the mounting's columns of the next
     reading, for people.
     """
     moves = campaign.moves
+    mounting_columns = column_names(c for c in COLUMNS if c.per_setup or c is DIRECTION)
     sequence = np.argsort(campaign.order, kind="stable")
     following = np.searchsorted(campaign.order[sequence], moves.order)
     numbered = list(zip(campaign.line.tolist(), rows, strict=True))
@@ -254,23 +256,6 @@ def _insert_moves(
         labels = {KIND.name: MOVE, POSTURE.name: MOVE, ORDER.name: str(moves.order[k])}
         numbered.append((int(moves.line[k]), cells | move_rows[k] | labels))
     return [row for _, row in sorted(numbered, key=lambda entry: entry[0])]
-
-
-def readings_text(
-    tables: Sequence[Readings],
-    machine_file: AnyMachine | None = None,
-    *,
-    commands_as_places: bool = False,
-) -> str:
-    """Return the CSV text of a file of several tables, with a row for each reading; arguments as
-    for `campaign_rows`.
-    """
-    # If one table needs approaches all have them, as empty ones mean unknown.
-    options = {"commands_as_places": commands_as_places, "write_approaches": len(tables) > 1}
-    by_reading = (replace(table, by_point=False) for table in tables)
-    rows = [row for table in by_reading for row in campaign_rows(table, machine_file, **options)]
-    names = dict.fromkeys(name for row in rows for name in row)
-    return csv_text([{name: row.get(name, "") for name in names} for row in rows])
 
 
 def write_campaign(
@@ -283,31 +268,19 @@ def write_campaign(
     """Write readings or a measuring sheet; empty optional columns are left out.
 
     Args:
-        campaign: readings, of dials or of the tool; nan is left empty. Several tables go into one
-            file, dials first, and their orders follow each other.
+        campaign: as for `campaign_text`.
         path: of the file.
         machine_file: as for `campaign_rows`.
         overwrite: whether an existing file may be replaced.
 
     Raises:
         FileError: if a file exists and may not be replaced, or cannot be written.
-        InputError: if several tables cannot be one file: of different machines, two with dials, or
-            two with a setup of the same name.
+        InputError: as `campaign_text`.
     """
     campaigns = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not campaigns or not all(isinstance(one, Readings) and len(one) for one in campaigns):
         raise InputError("give a campaign with readings, or a list of such, to write")
-    parts = [part for one in campaigns for part in split_legs_and_tool(one)]
-    if sum(not part.of_tool for part in parts) > 1:
-        raise InputError("one file has one campaign of dials: write the others to their own files")
-    # All moves of a file belong to dials: those after their readings have no effect on them.
-    ordered = sorted(parts, key=lambda part: part.of_tool)
-    concatenated(ordered)  # refuses tables that cannot be one file
-    if len(campaigns) == 1 and campaigns[0].by_point:
-        text = campaign_text(campaigns[0], machine_file)
-    else:
-        text = readings_text(renumber_orders(ordered), machine_file)
-    files.write_file(path, text, overwrite=overwrite)
+    files.write_file(path, campaign_text(campaign, machine_file), overwrite=overwrite)
 
 
 def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:

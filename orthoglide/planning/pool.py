@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from orthoglide import reduction
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.observations import Readings, Setup
+from orthoglide.observations import Moves, Readings, Setup
 from orthoglide.observations.approach import stroke_overshoot
-from orthoglide.observations.protocols import dial_setup, require_dial_layout, unread_campaign
+from orthoglide.observations.protocols import dial_setup, require_dial_layout
 
 GAUGES: tuple[float, ...] = (0.25, 0.35, 0.5, 0.65, 0.75)
 """Where the dials may stand, as fractions of the leg from its end at the platform."""
@@ -101,9 +101,11 @@ def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
             ]
             setups.append(replace(setup, name=f"next-{setup.name}"))
     setup_rows, posture, command, approach = zip(*rows, strict=True)
-    return unread_campaign(
-        geometry, "next", setups, setup_rows, np.array(command),
-        np.repeat(np.array(approach)[:, None], 3, axis=1), posture=posture, load=load,
+    return Readings(
+        "next", tuple(setups), np.array(setup_rows), np.array(command),
+        np.full(len(posture), np.nan), np.repeat(np.array(approach)[:, None], 3, axis=1),
+        load=np.array(load), posture=posture,
+        moves=Moves(overshoot=stroke_overshoot(geometry.stroke)),
     )  # fmt: skip
 
 

@@ -13,8 +13,8 @@ from orthoglide.explanation import FullPosterior
 from orthoglide.frames import Framed
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import OBSERVATIONS
-from orthoglide.observations import Readings, campaign_rows, source
-from orthoglide.observations.protocols import unread_campaign
+from orthoglide.observations import Moves, Readings, campaign_rows, source
+from orthoglide.observations.approach import stroke_overshoot
 from orthoglide.planning.pool import reading_pool, sheet_from_pool
 from orthoglide.result import DataRival, SetupResidual
 
@@ -166,10 +166,11 @@ def suggest_deciding_visits(posterior: FullPosterior, fault: DataRival) -> Sugge
     nearest = rows[np.isin(distances, np.unique(distances)[:_NEIGHBOUR_DISTANCES])]
     visits = np.column_stack([table.stations[nearest], table.approach[nearest]])
     first = table.subset(np.sort(nearest[np.unique(visits, axis=0, return_index=True)[1]]))
-    setups = [replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in first.setups]
-    pool = unread_campaign(
-        posterior.machine.geometry, "next", setups, first.setup, first.command, first.approach,
-        posture=first.posture,
+    setups = tuple(replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in first.setups)
+    overshoot = stroke_overshoot(posterior.machine.geometry.stroke)
+    pool = Readings(
+        "next", setups, first.setup, first.command, np.full(len(first), np.nan), first.approach,
+        posture=first.posture, moves=Moves(overshoot=overshoot),
     )  # fmt: skip
     reason = (
         f"the posture of line {fault.rows[0]} and the nearest postures once more, "

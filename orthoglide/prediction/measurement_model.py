@@ -105,9 +105,7 @@ class Formulas:
 
     def effects(self, observation: Observation) -> tuple[Effect, ...]:
         """Return the effects of a kind's instrument, in the order of its formula."""
-        return tuple(
-            e for e in self.catalogue.instrument_effects if observation.kind_is_affected_by(e)
-        )
+        return tuple(e for e in self.catalogue.instrument_effects if observation.is_affected_by(e))
 
     def parameter_names(self, observation: Observation, setup: str) -> tuple[str, ...]:
         """Return the names of the ``D`` parameters of a setup's instrument."""

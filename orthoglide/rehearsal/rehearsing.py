@@ -16,7 +16,7 @@ from orthoglide.files import as_file_errors, read_bytes, sha256, write_file
 from orthoglide.instruments import LegDial, PlateTouch
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.machine_file import machine_text
-from orthoglide.observations import Readings, protocol, read_readings, readings_text
+from orthoglide.observations import Readings, campaign_text, protocol, read_readings
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.planning import aliasing, detectable_rows, sheets_by_kind, smallest_effects
 from orthoglide.progress import Progress, Step, no_progress
@@ -185,7 +185,7 @@ class _Journal:
         request = {
             "the version of orthoglide": __version__,
             "the machine file": sha256(machine.encode()),
-            "the sheet": sha256(readings_text(scope.sheets, scope.machine.spec).encode()),
+            "the sheet": sha256(campaign_text(scope.sheets, scope.machine.spec).encode()),
             "the seed": str(seed),
         }
         with as_file_errors(folder):

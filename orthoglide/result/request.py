@@ -23,7 +23,14 @@ from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior, posterior_bytes
-from orthoglide.observations import Readings, Setup, campaign_rows, csv_text, readings_from_rows
+from orthoglide.observations import (
+    Readings,
+    Setup,
+    campaign_rows,
+    csv_text,
+    readings_from_rows,
+    split_legs_and_tool,
+)
 from orthoglide.result.codec import Key, decoded, decoded_fields, encoded
 from orthoglide.text import MACHINE_OPTION, abbreviated, unprintable_problem
 from orthoglide.urdf import urdf_digests
@@ -208,7 +215,8 @@ class _Input:
         """Return the readings, of one or several kinds."""
         origin: dict[str, Any] = {"file": self.file, "lines": self.lines, "sha256": self.sha256}
         name = Path(self.file).stem if self.name is None else self.name
-        return readings_from_rows(self.rows, machine.spec, name=name, **origin)
+        readings = readings_from_rows(self.rows, machine.spec, name=name, **origin)
+        return split_legs_and_tool(readings)
 
 
 # -- reading --------------------------------------------------------------------------------------

@@ -365,7 +365,5 @@ class Result(Judged, Framed):
 def sheet_of(rows: Sequence[Mapping[str, str]], machine: Machine) -> Readings:
     """Return the rows of a sheet, commands in joint coordinates, as readings to be taken."""
     spec = replace(machine.spec, controller=Controller())
-    (readings,) = readings_of_table(
-        rows_table(rows, "next_measurements.csv", (), ""), "next", spec, require_readings=False
-    )
-    return readings
+    table = rows_table(rows, "next_measurements.csv")
+    return readings_of_table(table, "next", spec, require_readings=False)

@@ -14,7 +14,7 @@ import numpy as np
 from orthoglide.add_ons import MARK_KEY
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
-from orthoglide.firmware.imported import Imported, Row, note_few_touches, readings_from_cells
+from orthoglide.firmware.imported import Imported, Row, campaign_of_rows, note_few_touches
 from orthoglide.firmware.klipper import provenance
 from orthoglide.firmware.klipper.config import BROKEN_HEADER, Config, read_config
 from orthoglide.firmware.klipper.heights import (
@@ -140,7 +140,7 @@ def _campaigns(
         if not campaign_rows:
             continue
         try:
-            yield readings_from_cells(name, [row.cells() for row in campaign_rows], machine)
+            yield campaign_of_rows(name, campaign_rows, machine)
         except FileError as error:
             config.note("mesh", f"left out: {name}.csv: {error.reason}")
 
