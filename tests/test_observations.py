@@ -223,7 +223,7 @@ BROKEN: dict[str, tuple[bytes, str, int | None]] = {
 }
 
 MOVES: dict[str, tuple[Fault, str, int]] = {
-    "no kind": (cell("kind", "jump", 2), "none of leg, move, tcp, plate, distance", 2),
+    "no kind": (cell("kind", "jump", 2), "none of leg, move, parallelism, tcp, plate, distance", 2),
     "moves alone": (cell("kind", "move"), "has moves only", 2),
     "a move too far": (cell("rho_x_mm", "400", 21), "outside its stroke", 21),
     "a move of another's order": (
@@ -347,17 +347,9 @@ def in_turn(*readings: str) -> Fault:
     return apply
 
 
-def still_leg(rows: Rows) -> Rows:
-    """Leg z stays at mechanical zero while it is read along y."""
-    rows = [row for row in rows if row[0] != "zx-0.5"]
-    lines = [k for k, row in enumerate(rows, start=1) if row[0] == "zy-0.5"]
-    return cell("rho_z_mm", "310.25", *lines)(rows)
-
-
 NOTICED: dict[str, tuple[Fault, str, int]] = {
     "unknown columns": (
         chained(added("operator", "me"), added("comment", "-")), "is not known and was ignored", 2),
-    "a leg that hardly moves": (still_leg, "leg z moves by only 0 mm along its own axis", 1),
     "a dial that stands still": (in_turn("3.20"), "is the dial touching", 1),
     "a dial that trembles": (in_turn("3.20", "3.21"), "is the dial touching", 1),
     "a dial that moves": (in_turn("3.20", "3.22"), "is the dial touching", 0),

@@ -239,7 +239,10 @@ def _compute(
         result_names = tuple(f"computed_{name}" for name in result_names)
     text = csv_text(
         (*rows.names, *result_names),
-        ([*row, *map(_millimetres, new)] for row, new in zip(rows.rows, results, strict=True)),
+        (
+            [*row, *map(_millimetres, new)]
+            for *row, new in zip(*rows.columns.values(), results, strict=True)
+        ),
     )
     _deliver_table(text, out, f"{len(results)} rows" if out else "")
 

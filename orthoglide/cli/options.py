@@ -132,9 +132,7 @@ class MachineOption:
         from orthoglide.machine import Machine
 
         machine = Machine.of(self.path, self.effects)
-        printer = machine.spec.printer
-        doubts = "" if printer is None else printer.doubts(machine)
-        warn(tuple(filter(None, (doubts, *machine.warnings))))
+        warn(machine.warnings)
         return machine
 
 

@@ -2,7 +2,7 @@
 
 # The order of these imports is the order in which kinds are listed for people.
 # isort: off
-from orthoglide.instruments.leg_dial import LegDial as LegDial
+from orthoglide.instruments.leg_dial import LegDial as LegDial, Parallelism as Parallelism
 from orthoglide.instruments.tcp import Coordinate as Coordinate
 from orthoglide.instruments.plate import PlateTouch as PlateTouch
 from orthoglide.instruments.distance import (
@@ -12,13 +12,10 @@ from orthoglide.instruments.distance import (
 )
 from orthoglide.instruments.ball_bar import BallBar as BallBar
 from orthoglide.instruments.inclination import Inclination as Inclination
-from orthoglide.instruments.parallelism import Parallelism as Parallelism
 
 # isort: on
 from orthoglide.instruments.observation import (
-    MATERIAL_COLUMN as MATERIAL_COLUMN,
     OBSERVATIONS as OBSERVATIONS,
-    PLATE_TURN_COLUMN as PLATE_TURN_COLUMN,
     POSE_SIZE as POSE_SIZE,
     TOOL_OFFSET_COLUMNS as TOOL_OFFSET_COLUMNS,
     Frame as Frame,

@@ -10,7 +10,6 @@ import numpy as np
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
-    MATERIAL_COLUMN,
     TOOL_OFFSET_COLUMNS,
     InstrumentPriors,
     Ints,
@@ -51,7 +50,7 @@ class Distance(Observation):
     nuisance_summary = "scale, by its `material`, and offset (sd 0.2 mm)"
     repeatability = 5e-5  # a calliper's, as owners of linear deltas repeat it
     paired = True
-    setup_columns = (*TOOL_OFFSET_COLUMNS, MATERIAL_COLUMN)
+    setup_columns = (*TOOL_OFFSET_COLUMNS, "material")
     nuisance_count = 2
 
     def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:

@@ -1,14 +1,16 @@
-"""A dial on a leg: the touched line where it crosses the dial's plane.
+"""Dials on a leg: one, or two whose difference is read.
 
 The line of leg i runs from its carriage A to the platform B. With the dial at ``gauge`` along the
 leg's own axis a (r removed), it crosses the plane at ``X = A + mu (B - A)`` where
 ``mu = (gauge + r - A_a) / (B_a - A_a)``; the dial shows the component of X along its direction.
+Two dials at one posture are the first technique of the 2008 chapter (Fig. 4a): both are set to zero
+against a reference surface, so their difference is the leg's inclination to it and has no datum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -32,54 +34,42 @@ from orthoglide.instruments.observation import (
 BAR_WEIGHTS = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
 """Shares of bars 1 and 2 in the line that a setup touches, by its bar."""
 
-DIAL_MOUNTING_SIZE = 13
-"""Numbers that describe the mounting of a dial on a leg, see :func:`dial_mountings`."""
+_MOUNTING_SIZE = 13
+"""Numbers that describe the mounting of a dial on a leg, see :func:`_dial_mountings`."""
 
-PLACE_INDEX, SIGN_INDEX, TIME_INDEX = 11, 12, 13
+_PLACE, _SIGN, _TIME = 11, 12, 13
 """Positions in the mounting of a dial: its place along the leg, its sign, the time of a reading."""
 
 DATUM_INDEX, PLACEMENT_INDEX = 0, 1
 """Nuisance parameters of a dial: its datum, and the error of its place along the leg."""
 
 
-def dial_mountings(table: Table, rows: Rows, geometry: Geometry) -> Array:
+def _dial_mountings(table: Table, rows: Rows, geometry: Geometry) -> Array:
     """Return the mounting of each row's dial ``(m, 13)``: weights of the bars, axis of the leg,
     axis sensed, axis toward which a rolled dial turns, place along the leg, sign.
     """
-    mountings, axes = np.zeros((len(table.setups), DIAL_MOUNTING_SIZE)), np.eye(3)
+    mountings, axes = np.zeros((len(table.setups), _MOUNTING_SIZE)), np.eye(3)
     for row, setup in zip(mountings, table.setups, strict=True):
         if setup.leg >= 0:
             slide, sensed = geometry.slides[setup.leg], axes[setup.axis]
             row[:2] = BAR_WEIGHTS[setup.bar]
             row[2:5], row[5:8], row[8:11] = slide, sensed, np.cross(slide, sensed)
-            row[PLACE_INDEX], row[SIGN_INDEX] = setup.gauge + geometry.r, setup.sign
+            row[_PLACE], row[_SIGN] = setup.gauge + geometry.r, setup.sign
     return np.asarray(mountings[table.setup[rows]])
 
 
-def dial_plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
+def _plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
     """Return the point where the touched line crosses a plane across the leg ``(3,)``, metres.
 
     Args:
         ends: ends of the leg's bars (bar, end, xyz) ``(12,)``, metres.
-        mounting: of the dial, as :func:`dial_mountings` returns it.
+        mounting: of the dial, as :func:`_dial_mountings` returns it.
         place: of the plane along the leg's axis, metres.
     """
     weight1, weight2, slide = mounting[0], mounting[1], vector(mounting, 2)
     start = linear_combination((weight1, vector(ends)), (weight2, vector(ends, 6)))
     line = linear_combination((weight1, vector(ends, 3)), (weight2, vector(ends, 9)), (-1, start))
     return linear_combination((1, start), ((place - dot(slide, start)) / dot(slide, line), line))
-
-
-def dial_setup_error(setup: Setup) -> str:
-    """Return what is wrong with the mounting of a dial on a leg, as a clause; empty if nothing."""
-    if not {setup.leg, setup.axis} <= {0, 1, 2}:
-        return "legs and axes are 0, 1 or 2"
-    if setup.leg == setup.axis:
-        return "direction is the leg's own axis: name one across the leg"
-    places = (setup.gauge, setup.gauge2)
-    if setup.sign not in (1, -1) or setup.bar not in BAR_WEIGHTS or not np.isfinite(places).all():
-        return "its sign is 1 or -1, its bar 0, 1 or 2, and its gauge a length in metres"
-    return ""
 
 
 class LegDial(Observation):
@@ -92,9 +82,9 @@ class LegDial(Observation):
     nuisance_summary = "datum, and the dial's place along the leg to its placement"
     repeatability = 2e-5  # stated in 2008, section 4.1
     dials = 1
-    protocol = "sweep"
+    protocol: ClassVar[Literal["sweep", "parallelism"]] = "sweep"
     axes = (0, 1, 2)
-    setup_columns = ("leg", "direction", "gauge_mm", "bar")
+    setup_columns: ClassVar[tuple[str, ...]] = ("leg", "direction", "gauge_mm", "bar")
     min_postures = 2
     nuisance_count = 2
 
@@ -104,13 +94,21 @@ class LegDial(Observation):
 
     def setup_error(self, setup: Setup) -> str:
         """Return what is wrong with a setup."""
-        return dial_setup_error(setup)
+        if not {setup.leg, setup.axis} <= {0, 1, 2}:
+            return "legs and axes are 0, 1 or 2"
+        if setup.leg == setup.axis:
+            return "direction is the leg's own axis: name one across the leg"
+        places = (setup.gauge, setup.gauge2)
+        is_known = setup.sign in (1, -1) and setup.bar in BAR_WEIGHTS
+        if not is_known or not np.isfinite(places).all():
+            return "its sign is 1 or -1, its bar 0, 1 or 2, and its gauge a length in metres"
+        return ""
 
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the crossing point along the dial's direction, as the dial shows it."""
-        mounting, sign, time = row.mounting, row.mounting[SIGN_INDEX], row.mounting[TIME_INDEX]
-        place = mounting[PLACE_INDEX] + row.nuisance[PLACEMENT_INDEX]
-        x = dial_plane_crossing(row.pose, mounting, place)
+        mounting, sign, time = row.mounting, row.mounting[_SIGN], row.mounting[_TIME]
+        place = mounting[_PLACE] + row.nuisance[PLACEMENT_INDEX]
+        x = _plane_crossing(row.pose, mounting, place)
         reading, across = sign * dot(vector(mounting, 5), x), sign * dot(vector(mounting, 8), x)
         for effect, value in zip(effects, row.effect_parameters, strict=True):
             if effect.dial is not None:
@@ -119,9 +117,56 @@ class LegDial(Observation):
 
     def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
         """Return the mountings of the dials, and the time of each reading."""
-        mountings = dial_mountings(table, rows, context.geometry)
+        mountings = _dial_mountings(table, rows, context.geometry)
         return np.column_stack([mountings, np.nan_to_num(table.time[rows])])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the priors of the datum, which has none, and of the dial's place along the leg."""
         return np.array([np.inf, priors.dial_placement_sd])
+
+
+class Parallelism(LegDial):
+    """Readings of the dial at ``gauge2`` minus those of the dial at ``gauge``."""
+
+    kind = "parallelism"
+    instrument_phrase = "two dials on a leg"
+    quantity_phrase = "the inclination of leg {1} along {0}"
+    sheet_instruction = (
+        "reading_mm is what the dial at gauge2_mm shows less what the dial at gauge_mm shows"
+    )
+    nuisance_summary = (
+        "slope of the reference surface, where the machine file has a tolerance for it"
+    )
+    repeatability = 2e-5 * 2**0.5  # two dials, each as stated in 2008, section 4.1
+    dials = 2
+    protocol = "parallelism"
+    setup_columns = ("leg", "direction", "gauge_mm", "gauge2_mm", "bar")
+    min_postures = 1
+    nuisance_count = 1
+
+    def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
+        """Return that no effect is that of a single dial."""
+        return False
+
+    def setup_error(self, setup: Setup) -> str:
+        """Return what is wrong with a setup."""
+        if setup.gauge2 != setup.gauge:
+            return super().setup_error(setup)
+        return "its two dials stand at one place: correct gauge_mm or gauge2_mm"
+
+    def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
+        """Return the difference of two crossing points, plus the slope of the surface."""
+        mounting = row.mounting
+        first, second = mounting[_PLACE], mounting[_MOUNTING_SIZE]
+        x1, x2 = (_plane_crossing(row.pose, mounting, place) for place in (first, second))
+        difference = dot(vector(mounting, 5), linear_combination((1, x2), (-1, x1)))
+        return mounting[_SIGN] * difference + row.nuisance[0] * (second - first)
+
+    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+        """Return the mountings of the first dials, and the places of the second."""
+        second = np.array([s.gauge2 for s in table.setups])[table.setup[rows]] + context.geometry.r
+        return np.column_stack([_dial_mountings(table, rows, context.geometry), second])
+
+    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
+        """Return the prior of the surface's slope, radians."""
+        return np.array([priors.surface_slope_sd])

@@ -88,12 +88,6 @@ class MountingContext:
 TOOL_OFFSET_COLUMNS = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
 """Columns of the offset of a probe or a tip from the tool, along the platform's axes."""
 
-MATERIAL_COLUMN = "material"
-"""Column of the material of a measured part, which sets the prior of its size."""
-
-PLATE_TURN_COLUMN = "turned_deg"
-"""Column of how far a plate was turned on its seat, counter-clockwise from above."""
-
 SMALL_ROTATION = 1e-3
 """Radians: the second order of a smaller rotation moves less than a micrometre."""
 
@@ -190,49 +184,32 @@ _LEAST_NOISE_RATIO = 0.05  # share of the usual noise
 
 
 class Observation(ABC):
-    """One kind of reading.
+    """One kind of reading."""
 
-    Attributes:
-        kind: name of the kind in files.
-        instrument_phrase: the instrument, in words.
-        quantity_phrase: what is read; ``{}`` or ``{0}`` stands for the axis, ``{1}`` for the leg.
-        sheet_instruction: what to write on a sheet.
-        nuisance_summary: the nuisance parameters, for the documentation.
-        sheet_instruction_place: what to write where commands are places, if it differs.
-        suggestion_suffix: follows ``instrument_phrase`` where such readings are proposed.
-        repeatability: standard deviation of one reading where nothing is known.
-        least_noise: least standard deviation accepted from repeats, as copied readings show none.
-        angular: whether readings are in radians; metres otherwise.
-        dials: number of dials on a leg per reading; 0 if the tool is read.
-        protocol: measuring protocol recommended for dials.
-        axes: base axes along or about which it reads; empty if readings have no direction.
-        touches: whether it touches a plate.
-        paired: whether a reading is between two commands.
-        about_ball: whether it reads about a fixed ball.
-        setup_columns: columns of files that belong to a mounting, besides its name.
-        min_postures: number of distinct postures that a setup needs.
-        nuisance_count: number `K` of nuisance parameters of a setup.
-    """
-
-    kind: ClassVar[str]
+    kind: ClassVar[str]  # its name in files
+    # in words: the instrument, and what is read, where `{}` or `{0}` stands for the axis and `{1}`
+    # for the leg
     instrument_phrase: ClassVar[str]
     quantity_phrase: ClassVar[str]
+    # what to write on a sheet, and where commands are places, if it differs
     sheet_instruction: ClassVar[str]
-    nuisance_summary: ClassVar[str]
     sheet_instruction_place: ClassVar[str] = ""
-    suggestion_suffix: ClassVar[str] = ""
-    repeatability: ClassVar[float]
+    suggestion_suffix: ClassVar[str] = ""  # follows the instrument where readings are proposed
+    nuisance_summary: ClassVar[str]  # the nuisance parameters, for the documentation
+    repeatability: ClassVar[float]  # standard deviation of one reading where nothing is known
+    # least standard deviation accepted from repeats, as copied readings show none
     least_noise: ClassVar[float]
-    angular: ClassVar[bool] = False
-    dials: ClassVar[int] = 0
-    protocol: ClassVar[Literal["sweep", "parallelism"]]
-    axes: ClassVar[tuple[int, ...]] = ()
-    touches: ClassVar[bool] = False
-    paired: ClassVar[bool] = False
-    about_ball: ClassVar[bool] = False
+    angular: ClassVar[bool] = False  # whether readings are in radians; metres otherwise
+    dials: ClassVar[int] = 0  # dials on a leg per reading; 0 if the tool is read
+    protocol: ClassVar[Literal["sweep", "parallelism"]]  # recommended for dials
+    axes: ClassVar[tuple[int, ...]] = ()  # base axes along or about which it reads, if any
+    touches: ClassVar[bool] = False  # whether it touches a plate
+    paired: ClassVar[bool] = False  # whether a reading is between two commands
+    about_ball: ClassVar[bool] = False  # whether it reads about a fixed ball
+    # columns of files that belong to a mounting, besides its name
     setup_columns: ClassVar[tuple[str, ...]] = TOOL_OFFSET_COLUMNS
-    min_postures: ClassVar[int] = 1
-    nuisance_count: ClassVar[int]
+    min_postures: ClassVar[int] = 1  # distinct postures that a setup needs
+    nuisance_count: ClassVar[int]  # number `K` of nuisance parameters of a setup
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

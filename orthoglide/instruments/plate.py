@@ -10,7 +10,6 @@ import numpy as np
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
-    PLATE_TURN_COLUMN,
     TOOL_OFFSET_COLUMNS,
     InstrumentPose,
     InstrumentPriors,
@@ -43,7 +42,7 @@ class PlateTouch(Observation):
     nuisance_summary = "height and two slopes of the plate"
     repeatability = 2e-5  # a probe's touch, as owners of linear deltas repeat it
     touches = True
-    setup_columns = (*TOOL_OFFSET_COLUMNS, PLATE_TURN_COLUMN)
+    setup_columns = (*TOOL_OFFSET_COLUMNS, "turned_deg")
     nuisance_count = 3
 
     def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:

@@ -6,7 +6,7 @@ raises. Remarks that are no errors are returned as warnings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -19,9 +19,15 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import MIN_MOVE, Ints
-from orthoglide.observations.notices import MIN_AXIS_MOTION, NOTICES, ZERO_READING, min_axis_motion
 from orthoglide.observations.readings import Readings
-from orthoglide.observations.schema import MAX_ROTATION_SD, MOVE, READINGS
+from orthoglide.observations.schema import (
+    MAX_ROTATION_SD,
+    MOVE,
+    READINGS,
+    SIGMAS,
+    TEMPERATURE,
+    TIME,
+)
 from orthoglide.units import NOISE_LIMITS
 
 Fail = Callable[[str, int | None], NoReturn]
@@ -33,6 +39,16 @@ read back exactly as they were written."""
 
 STROKE_SLACK = 1e-6
 """Tolerated excess of a command over the stroke, metres."""
+
+MIN_AXIS_MOTION = 1e-3
+"""Least range of commands over which an axis counts as moving, metres, or a tenth of the stroke if
+that is less."""
+
+STILL_DIAL_STEPS = 2 - 1e-6
+"""Steps of the dial: below this spread in every setup, the dial is considered still."""
+
+ZERO_READING = 1e-8
+"""Readings below this are zeros of a simulated perfect machine, metres."""
 
 DIAL_RANGE = 20e-3
 """Upper limit of the range of a dial, without the motion of the command, metres."""
@@ -169,7 +185,7 @@ def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tupl
 
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
-        warnings = [note for notice in NOTICES for note in notice(campaign, machine)]
+        warnings = [*_note_still_dial(campaign, machine), *_note_partly_recorded(campaign)]
     for rule in (_check_noise, _check_distances, _check_duplicates):
         rule(readings, fail)
     return tuple(warnings)
@@ -190,16 +206,16 @@ def _check_noise(readings: Readings, fail: Fail) -> None:
 
 
 def _check_distances(readings: Readings, fail: Fail) -> None:
-    paired = readings.paired & np.isfinite(readings.reading)
-    coincident = (np.abs(readings.second - readings.command) < 1e-6).all(axis=1)
-    coinciding = np.flatnonzero(paired & coincident & (readings.reading > 0))
+    coincident = (np.abs(readings.second - readings.command) < MIN_MOVE).all(axis=1)
+    coinciding = np.flatnonzero(readings.paired & coincident)
     if len(coinciding):
         fail("the two commands of this distance are the same: correct one", int(coinciding[0]))
-    not_positive = np.flatnonzero(paired & (readings.reading <= 0))
-    if len(not_positive):
-        fail("a distance must be above 0: correct it", int(not_positive[0]))
-    if paired.any() and readings.reading[paired].max() < 1e-3:
-        fail("all distances are below 1 mm: give millimetres, not metres", 0)
+
+
+def min_axis_motion(machine: MachineFile) -> float:
+    """Return the least range of commands over which an axis counts as moving, metres."""
+    low, high = machine.geometry.stroke
+    return min(MIN_AXIS_MOTION, (high - low) / 10)
 
 
 def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
@@ -305,6 +321,36 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
                 "than its leg can move: correct a slip, or give millimetres",
                 int(row),
             )
+
+
+def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+    read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
+    if not read.any():
+        return
+    spans = [
+        np.ptp(campaign.reading[read & (campaign.setup == index)])
+        for index in np.unique(campaign.setup[read])
+    ]
+    # Rounding and touching make a still dial vary by up to two steps.
+    if max(spans) < max(STILL_DIAL_STEPS * machine.dial.resolution, ZERO_READING):
+        yield Note(
+            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
+            "touching the leg? Unless the machine is as good as that, such readings say nothing",
+            "reading",
+        )
+
+
+def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
+    consequences = {
+        TIME: "these count as taken at the start",
+        TEMPERATURE: "these count as no warmer than the first",
+        SIGMAS["mm"]: "these take the dial's",
+    }
+    for column, consequence in consequences.items():
+        absent = np.isnan(getattr(campaign, column.attribute))
+        if absent.any() and not absent.all():
+            text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
+            yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
 
 
 _CHECKS = (_check_motion, _check_gauges, _check_postures, _check_clock, _check_dial)

@@ -97,13 +97,6 @@ def commands(table: Table, column: Column, machine: MachineFile) -> Array:
     return check_commands(shown, True, machine, table.fail)
 
 
-def awaiting_touch(table: Table, column: Column) -> NDArray[np.bool_]:
-    """Return the rows with a place above the plate whose height is not measured yet ``(n,)``."""
-    if column is not PLACE:
-        return np.zeros(len(table.rows), dtype=bool)
-    return np.array([not cell for cell in table.cells(PLACE.names()[2])])
-
-
 def rows_of_kinds(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
     """Return the rows of kinds that pass a test ``(n,)``, booleans; moves never pass."""
     kinds_passing = {kind for kind, observation in OBSERVATIONS.items() if test(observation)}

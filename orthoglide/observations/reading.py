@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from orthoglide.errors import FileError
 from orthoglide.foreign import refuse_foreign
-from orthoglide.geometry import Array
-from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
+from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
 from orthoglide.notes import Note
 from orthoglide.observations.approach import Moves, derive_approach, stroke_overshoot
 from orthoglide.observations.checks import (
@@ -27,7 +26,6 @@ from orthoglide.observations.checks import (
     check_sequence,
 )
 from orthoglide.observations.columns import (
-    awaiting_touch,
     column_values,
     commands,
     read_setups,
@@ -45,6 +43,7 @@ from orthoglide.observations.schema import (
     KIND,
     MOVE,
     ORDER,
+    PLACE,
     POINT,
     POSTURE,
     READINGS,
@@ -53,7 +52,6 @@ from orthoglide.observations.schema import (
     SIGMAS,
     TRAVEL,
     Column,
-    at_tool,
     column_names,
     columns_for_command,
 )
@@ -102,8 +100,18 @@ def read_readings(
     *,
     require_readings: bool = True,
 ) -> tuple[Readings, ...]:
-    """Read a file of readings as `read_campaign` does, into separate tables of legs, with the
-    moves, and of the tool.
+    """Read a file of readings of any kinds into separate tables of legs and of the tool.
+
+    Args:
+        path: as for `read_campaign`.
+        machine_file: as for `read_campaign`.
+        require_readings: as for `read_campaign`.
+
+    Returns:
+        A table of readings of legs, with the moves, a table of those of the tool, or both.
+
+    Raises:
+        FileError: naming the line and what would be right.
     """
     return split_legs_and_tool(read_campaign(path, machine_file, require_readings))
 
@@ -157,7 +165,6 @@ def readings_from_frame(
     *,
     name: str = "frame",
     machine_file: AnyMachine | None = None,
-    controller: Controller | None = None,
     require_readings: bool = True,
 ) -> Readings:
     """Return readings from a data frame with the columns of a file of readings.
@@ -166,16 +173,12 @@ def readings_from_frame(
         df: a pandas data frame, or a mapping of columns; missing values are empty fields.
         name: of the readings.
         machine_file: as for `read_campaign`.
-        controller: converts ``travel_*_mm``; the machine file's if None.
         require_readings: as for `read_campaign`.
 
     Raises:
         FileError: as `read_campaign`, rows counted as lines of a file with a header.
     """
-    machine = machine_file_of(machine_file)
-    if controller is not None:
-        machine = replace(machine, controller=controller)
-    readings = readings_of_table(frame_table(df, name), name, machine, require_readings)
+    readings = readings_of_table(frame_table(df, name), name, machine_file, require_readings)
     return replace(readings, file="")
 
 
@@ -200,9 +203,14 @@ def readings_of_table(
     is_move = np.array([kind == MOVE for kind in row_kinds])
     check_layout(row_kinds, machine, table.fail)
     command = stated_commands(table, machine)
+    allowed = columns_for_command(command)
+    required = [
+        column for column in allowed
+        if (require_readings if column in READINGS.values() else column.required)
+        and column is not ORDER and rows_of_kinds(kinds, column.applies_to).any()
+    ]  # fmt: skip
     warnings = table.check_names(
-        column_names([*_allowed_columns(kinds, command), RHO, TRAVEL], legs),
-        column_names(_required_columns(kinds, command, require_readings), legs),
+        column_names([*allowed, RHO, TRAVEL], legs), column_names(required, legs)
     )
     if is_move.all():
         table.fail("has moves only: add rows with readings", 0)
@@ -210,42 +218,23 @@ def readings_of_table(
     moves, rows = (table.part(np.flatnonzero(k)) for k in (is_move, ~is_move))
     sequence = _read_sequence(table, rows, is_move, command, machine)
     setups, setup = read_setups(rows, kinds)
-    has_second = rows_of_kinds(kinds, COMMANDS[command].applies_to)
-    sequence["second"] = _second_commands(rows, has_second, command, machine)
+    second, paired = np.full((len(rows), 3), np.nan), rows_of_kinds(kinds, lambda o: o.paired)
+    if paired.any():
+        second[paired] = commands(rows.part(np.flatnonzero(paired)), COMMANDS[command], machine)
     fields = _row_values(rows, kinds)
-    fields["reading"] = np.where(awaiting_touch(rows, command), np.nan, fields["reading"])
+    if command is PLACE:  # a touch whose height is not measured yet
+        untouched = [not cell for cell in rows.cells(PLACE.names()[2])]
+        fields["reading"] = np.where(untouched, np.nan, fields["reading"])
     readings = Readings(
         name=name, setups=setups, setup=setup, line=np.array(rows.lines), file=rows.file,
-        sha256=rows.sha256, legs=machine.geometry.layout.names, **fields | sequence,
+        sha256=rows.sha256, legs=machine.geometry.layout.names, second=second,
+        **fields | sequence,
     )  # fmt: skip
     if require_readings:
         check_filled(readings, rows.fail)
     notes = check_readings(readings, machine, rows.fail)
     move_notes = _note_moves_with_readings(moves)
     return replace(readings, warnings=(*warnings, *move_notes, *notes))
-
-
-def _allowed_columns(kinds: Sequence[str], command: Column) -> list[Column]:
-    """Return the columns that a file may have; any of the schema where the tool is read."""
-    columns = columns_for_command(command)
-    if rows_of_kinds(kinds, at_tool).any():
-        return columns
-    return [c for c in columns if c is KIND or rows_of_kinds(kinds, c.applies_to).any()]
-
-
-def _required_columns(
-    kinds: Sequence[str], command: Column, require_readings: bool
-) -> list[Column]:
-    """Return the columns that a file must have."""
-
-    def is_required(column: Column) -> bool:
-        if column in READINGS.values():
-            return require_readings
-        return column.required and column is not ORDER
-
-    kind_column = [KIND] if rows_of_kinds(kinds, at_tool).any() else []
-    required = [c for c in columns_for_command(command) if is_required(c)]
-    return kind_column + [c for c in required if rows_of_kinds(kinds, c.applies_to).any()]
 
 
 def _read_sequence(
@@ -261,7 +250,7 @@ def _read_sequence(
     from the order.
     """
     legs, rho = machine.geometry.leg_names, commands(table, command, machine)
-    order = np.arange(1, len(table.rows) + 1)
+    order = np.arange(1, len(table) + 1)
     if ORDER.name in table.names:
         order = np.array(table.values(ORDER))
     check_sequence(rho, order, table.lines, table.fail)
@@ -288,17 +277,6 @@ def _row_values(table: Table, kinds: Sequence[str]) -> dict[str, Any]:
     axes = [AXIS_AND_SIGN.get(cell, (0, 1)) for cell in fields.pop(DIRECTION.attribute)]
     axis, sign = np.array(axes).T
     return fields | {"posture": tuple(fields[POSTURE.attribute]), "axis": axis, "sign": sign}
-
-
-def _second_commands(
-    table: Table, has_second: NDArray[np.bool_], command: Column, machine: MachineFile
-) -> Array:
-    """Return the second commands ``(n, 3)`` of rows that have one, metres; nan elsewhere."""
-    second = np.full((len(has_second), 3), np.nan)
-    if has_second.any():
-        rows = table.part(np.flatnonzero(has_second))
-        second[has_second] = commands(rows, COMMANDS[command], machine)
-    return second
 
 
 def _note_moves_with_readings(moves: Table) -> tuple[Note, ...]:

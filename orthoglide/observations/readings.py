@@ -212,11 +212,6 @@ class Readings:
         return self.which(lambda s: s.observation.paired)
 
     @property
-    def about_ball(self) -> NDArray[np.bool_]:
-        """Which readings are about a fixed ball ``(n,)``, booleans."""
-        return self.which(lambda s: s.observation.about_ball)
-
-    @property
     def leg(self) -> Ints:
         """Leg that is read ``(n,)``; -1 where the tool is read."""
         return np.array([s.leg for s in self.setups], dtype=np.int64)[self.setup]

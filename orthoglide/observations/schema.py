@@ -13,9 +13,7 @@ from typing import Any
 from orthoglide import units
 from orthoglide.geometry import LEGS
 from orthoglide.instruments import (
-    MATERIAL_COLUMN,
     OBSERVATIONS,
-    PLATE_TURN_COLUMN,
     SHRINKAGE_BY_MATERIAL,
     TOOL_OFFSET_COLUMNS as BESIDE_NAMES,
     LegDial,
@@ -112,29 +110,17 @@ LABEL = Kind(_label)
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a file, or three of one quantity.
+    """A column of a file, or three of one quantity."""
 
-    Attributes:
-        name: in the file; ``{leg}`` or ``{axis}`` stands for each leg or base axis.
-        kind: type, unit and range of its cells.
-        meaning: sentences for the documentation.
-        attribute: attribute of its values: of `Setup` for columns of setups, else of `Readings`.
-        empty_value: value of an empty cell and an absent column; None if cells must be filled in.
-        applies_to: whether readings of a kind have the column.
-        per_setup: whether its value is fixed in a setup, whatever its kind.
-        always_written: whether default values are written.
-        is_text: whether it is text in data frames; numbers otherwise.
-    """
-
-    name: str
-    kind: Kind
-    meaning: str
-    attribute: str = ""
-    empty_value: Any = None
-    applies_to: Callable[[Observation], bool] = lambda observation: True
-    per_setup: bool = False
-    always_written: bool = False
-    is_text: bool = False
+    name: str  # in the file; `{leg}` or `{axis}` stands for each leg or base axis
+    kind: Kind  # type, unit and range of its cells
+    meaning: str  # sentences for the documentation
+    attribute: str = ""  # of its values: of `Setup` for columns of setups, else of `Readings`
+    empty_value: Any = None  # of an empty cell and an absent column; None if one must be filled in
+    applies_to: Callable[[Observation], bool] = lambda observation: True  # kinds that have it
+    per_setup: bool = False  # whether its value is fixed in a setup, whatever its kind
+    always_written: bool = False  # whether default values are written
+    is_text: bool = False  # whether it is text in data frames; numbers otherwise
 
     def names(self, legs: tuple[str, str, str] = LEGS) -> tuple[str, ...]:
         """Return the names in the file of a machine with these legs."""
@@ -259,10 +245,10 @@ BESIDE = replace(_setup_column(BESIDE_NAMES[0], number_kind(MM),
     "Where the setup is read, from the tool along x, y and z of the platform: a probe beside the "
     "nozzle, or a longer tool.", "beside", 0.0),
     name="beside_{axis}_mm")
-TURN = _setup_column(PLATE_TURN_COLUMN, number_kind(_DEG, -360, 360),
+TURN = _setup_column("turned_deg", number_kind(_DEG, -360, 360),
     "How far the setup's plate was turned on its seat, counter-clockwise from above.",
     "turned", 0.0)
-PART = replace(_setup_column(MATERIAL_COLUMN,
+PART = replace(_setup_column("material",
     word_kind({name: name for name in SHRINKAGE_BY_MATERIAL if name}, empty_meaning=""),
     "Material of the part on which distances are read: `printed` parts are 0.3 ± 0.3 % smaller "
     "than commanded, and all of a file are one; `metal` (a rule, a jig) is true to 0.02 %. If "

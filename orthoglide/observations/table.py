@@ -34,11 +34,18 @@ _PRINTED_MINUS = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package print
 class Table:
     """Cells of text by column, with the line of each row."""
 
-    names: tuple[str, ...]  # the header
-    rows: tuple[list[str], ...]  # cells, one list a row, as many as names
+    columns: Mapping[str, list[str]]  # cells by the name in the header
     lines: tuple[int, ...]  # line of each row, the header being line 1
     file: str  # name for errors
     sha256: str = ""  # digest of the file, or `""`
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The header."""
+        return tuple(self.columns)
 
     def fail(self, message: str, row: int | None = None) -> NoReturn:
         """Refuse the table, at a row if one is given."""
@@ -46,10 +53,7 @@ class Table:
 
     def cells(self, name: str) -> list[str]:
         """Return the cells of a column; empty ones if it is absent."""
-        if name not in self.names:
-            return [""] * len(self.rows)
-        place = self.names.index(name)
-        return [cells[place] for cells in self.rows]
+        return self.columns.get(name, [""] * len(self))
 
     def values(self, column: Column, name: str = "") -> list[Any]:
         """Return the values of a column in SI; ``name`` selects one column of three.
@@ -58,8 +62,8 @@ class Table:
             FileError: for the first cell that cannot be read.
         """
         name = name or column.name
-        if name not in self.names:
-            return [column.empty_value] * len(self.rows)
+        if name not in self.columns:
+            return [column.empty_value] * len(self)
         cells, values = self.cells(name), dict[str, Any]()
         for cell in dict.fromkeys(cells):
             try:
@@ -101,8 +105,8 @@ class Table:
 
     def part(self, rows: Sequence[int] | NDArray[np.intp]) -> Table:
         """Return the table of some rows, by index."""
-        lines = tuple(self.lines[k] for k in rows)
-        return replace(self, rows=tuple(self.rows[k] for k in rows), lines=lines)
+        columns = {name: [cells[k] for k in rows] for name, cells in self.columns.items()}
+        return replace(self, columns=columns, lines=tuple(self.lines[k] for k in rows))
 
 
 def read_table(path: str | os.PathLike[str]) -> Table:
@@ -149,8 +153,7 @@ def frame_table(df: Any, name: str) -> Table:
         ) from None
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)
-    rows = [list(row) for row in zip(*columns, strict=True)]
-    return _checked_table(names, rows, list(range(2, len(rows) + 2)), name)
+    return _checked_table(names, list(zip(*columns, strict=True)), (), name)
 
 
 def rows_table(
@@ -166,7 +169,7 @@ def rows_table(
     """
     names = list(rows[0]) if rows else []
     cells = [[str(row.get(name, "")).strip() for name in names] for row in rows]
-    return _checked_table(names, cells, list(lines or range(2, len(rows) + 2)), file, sha256)
+    return _checked_table(names, cells, lines, file, sha256)
 
 
 def _parse_cells(
@@ -202,8 +205,14 @@ def _parse_cells(
 
 
 def _checked_table(
-    names: list[str], rows: list[list[str]], lines: list[int], file: str, digest: str = ""
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    lines: Sequence[int],
+    file: str,
+    digest: str = "",
 ) -> Table:
+    """Return the table of a header and rows of cells, on lines from 2 on where none are given."""
+    lines = tuple(lines or range(2, len(rows) + 2))
     if len(names) > _MAX_COLUMNS:
         raise FileError(
             f"names {len(names)} columns: give a sheet of {_MAX_COLUMNS} at most", file=file, line=1
@@ -217,7 +226,8 @@ def _checked_table(
     _check_distinct(names, file)
     if not rows:
         raise FileError("has a header but no rows: add the readings", file=file, line=1)
-    return Table(tuple(names), tuple(rows), tuple(lines), file, digest)
+    columns = {name: list(cells) for name, *cells in zip(names, *rows, strict=True)}
+    return Table(columns, lines, file, digest)
 
 
 def _check_distinct(names: Sequence[str], file: str) -> None:

@@ -268,14 +268,16 @@ def write_campaign(
     """Write readings or a measuring sheet; empty optional columns are left out.
 
     Args:
-        campaign: as for `campaign_text`.
+        campaign: readings or a sheet, of dials or of the tool; nan is left empty. Several tables
+            follow each other in one file.
         path: of the file.
         machine_file: as for `campaign_rows`.
         overwrite: whether an existing file may be replaced.
 
     Raises:
         FileError: if a file exists and may not be replaced, or cannot be written.
-        InputError: as `campaign_text`.
+        InputError: if several tables cannot be one file: of different machines, or two with a setup
+            of the same name.
     """
     campaigns = campaign if isinstance(campaign, Sequence) else (campaign,)
     if not campaigns or not all(isinstance(one, Readings) and len(one) for one in campaigns):
