@@ -21,7 +21,7 @@ from orthoglide.instruments.observation import (
     Frame as Frame,
     InstrumentPose as InstrumentPose,
     InstrumentPriors as InstrumentPriors,
-    MountingContext as MountingContext,
+    Mounted as Mounted,
     Observation as Observation,
     ReadingVariables as ReadingVariables,
     Setup as Setup,

@@ -13,13 +13,11 @@ from orthoglide.instruments.observation import (
     InstrumentPose,
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
     SetupReadings,
-    Table,
     length,
     linear_combination,
     reading_point,
@@ -57,10 +55,10 @@ class BallBar(Observation):
         from_ball = linear_combination((1, p), (-1, ball), (-1, vector(row.nuisance)))
         return length(from_ball) + row.nuisance[3]
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the offset from the tool, and the centre of the ball."""
-        centres = np.array([pose.ball_centre for pose in context.instrument_poses]).reshape(-1, 3)
-        return np.hstack([table.beside[rows], centres[table.setup[rows]]])
+        centres = mounted.by_reading(pose.ball_centre for pose in mounted.instrument_poses)
+        return np.hstack([mounted.beside, centres])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the prior of the ball's centre; the bar's length has none."""

@@ -13,13 +13,11 @@ from orthoglide.instruments.observation import (
     TOOL_OFFSET_COLUMNS,
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
     SetupReadings,
-    Table,
     length,
     linear_combination,
     reading_point,
@@ -73,10 +71,10 @@ class Distance(Observation):
                 reading = effect.part(reading, value)
         return reading * (1 + row.nuisance[0]) + row.nuisance[1]
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the offset from the tool, and the shrinkage of the part."""
-        shrinkage = np.array([SHRINKAGE_BY_MATERIAL[setup.material][0] for setup in table.setups])
-        return np.column_stack([table.beside[rows], shrinkage[table.setup[rows]]])
+        shrinkage = (SHRINKAGE_BY_MATERIAL[setup.material][0] for setup in mounted.table.setups)
+        return np.column_stack([mounted.beside, mounted.by_reading(shrinkage)])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the priors of the scale and the offset."""

@@ -12,15 +12,12 @@ from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
-    Table,
     dot,
     linear_combination,
-    signed_axes,
     vector,
 )
 
@@ -49,9 +46,9 @@ class Inclination(Observation):
         turned = linear_combination((0.5, doubled), (1, vector(row.nuisance)))
         return dot(vector(row.mounting), turned)
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the axis of each row, with its sign."""
-        return signed_axes(table, rows)
+        return mounted.signed_axes
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return that the datum of each axis has no prior."""

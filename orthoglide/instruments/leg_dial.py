@@ -15,16 +15,14 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from orthoglide.effects import DialReading, Effect
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
-    Table,
     Vector,
     dot,
     linear_combination,
@@ -44,18 +42,19 @@ DATUM_INDEX, PLACEMENT_INDEX = 0, 1
 """Nuisance parameters of a dial: its datum, and the error of its place along the leg."""
 
 
-def _dial_mountings(table: Table, rows: Rows, geometry: Geometry) -> Array:
-    """Return the mounting of each row's dial ``(m, 13)``: weights of the bars, axis of the leg,
+def _dial_mountings(mounted: Mounted) -> Array:
+    """Return the mounting of each reading's dial ``(m, 13)``: weights of the bars, axis of the leg,
     axis sensed, axis toward which a rolled dial turns, place along the leg, sign.
     """
-    mountings, axes = np.zeros((len(table.setups), _MOUNTING_SIZE)), np.eye(3)
-    for row, setup in zip(mountings, table.setups, strict=True):
+    setups, geometry, axes = mounted.table.setups, mounted.geometry, np.eye(3)
+    mountings = np.zeros((len(setups), _MOUNTING_SIZE))
+    for row, setup in zip(mountings, setups, strict=True):
         if setup.leg >= 0:
             slide, sensed = geometry.slides[setup.leg], axes[setup.axis]
             row[:2] = BAR_WEIGHTS[setup.bar]
             row[2:5], row[5:8], row[8:11] = slide, sensed, np.cross(slide, sensed)
             row[_PLACE], row[_SIGN] = setup.gauge + geometry.r, setup.sign
-    return np.asarray(mountings[table.setup[rows]])
+    return mounted.by_reading(mountings)
 
 
 def _plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
@@ -115,10 +114,10 @@ class LegDial(Observation):
                 reading = effect.dial(DialReading(reading, across, time), value)
         return reading + row.nuisance[DATUM_INDEX]
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the mountings of the dials, and the time of each reading."""
-        mountings = _dial_mountings(table, rows, context.geometry)
-        return np.column_stack([mountings, np.nan_to_num(table.time[rows])])
+        time = np.nan_to_num(mounted.table.time[mounted.rows])
+        return np.column_stack([_dial_mountings(mounted), time])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the priors of the datum, which has none, and of the dial's place along the leg."""
@@ -162,10 +161,10 @@ class Parallelism(LegDial):
         difference = dot(vector(mounting, 5), linear_combination((1, x2), (-1, x1)))
         return mounting[_SIGN] * difference + row.nuisance[0] * (second - first)
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the mountings of the first dials, and the places of the second."""
-        second = np.array([s.gauge2 for s in table.setups])[table.setup[rows]] + context.geometry.r
-        return np.column_stack([_dial_mountings(table, rows, context.geometry), second])
+        second = mounted.by_reading(s.gauge2 for s in mounted.table.setups) + mounted.geometry.r
+        return np.column_stack([_dial_mountings(mounted), second])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the prior of the surface's slope, radians."""

@@ -7,7 +7,7 @@ Values, derivatives by the pose, nuisance columns and the nonlinear programme al
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -19,7 +19,6 @@ from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import LEGS, Array, Geometry
 
 Ints = NDArray[np.int64]
-Rows = NDArray[np.intp]
 
 POSE_SIZE = 12
 """Numbers that describe a posture: position and rotation of the tool, or the ends of one leg's
@@ -74,15 +73,33 @@ class InstrumentPriors:
 
 
 @dataclass(frozen=True)
-class MountingContext:
-    """What the mounting numbers of a formula depend on."""
+class Mounted:
+    """Readings of one kind with what the mounting numbers of their formula depend on."""
 
+    # all readings of a table, an `orthoglide.observations.Readings`, which a layer above defines
+    table: Any
+    rows: NDArray[np.intp]  # those of this kind (m,)
     geometry: Geometry  # of the machine
     instrument_poses: Sequence[InstrumentPose]  # of every setup
     # positions of all readings on their plates over the largest measured radius, along axes that
     # turn with the plate (n, 2)
     normalized_plate_xy: Array
     effects: Sequence[Effect] = ()  # that change readings of this kind
+
+    def by_reading(self, of_setups: Iterable[Any]) -> Array:
+        """Return the value of each reading's setup ``(m, ...)``, given those of all setups."""
+        return np.asarray(np.array(list(of_setups))[self.table.setup[self.rows]])
+
+    @property
+    def beside(self) -> Array:
+        """Offset of each reading from the tool, along the platform's axes ``(m, 3)``, metres."""
+        return np.asarray(self.table.beside[self.rows])
+
+    @property
+    def signed_axes(self) -> Array:
+        """The axis along which each reading is counted, with its sign ``(m, 3)``."""
+        axes = np.eye(3)[self.table.axis[self.rows]]
+        return np.asarray(self.table.sign[self.rows, None] * axes)
 
 
 TOOL_OFFSET_COLUMNS = ("beside_x_mm", "beside_y_mm", "beside_z_mm")
@@ -93,9 +110,6 @@ SMALL_ROTATION = 1e-3
 
 SMALL_SHIFT = 1e-5
 """Metres: the square of a smaller shift over a machine's size is below a nanometre."""
-
-Table = Any
-"""A table of readings, `orthoglide.observations.Readings`, which a layer above defines."""
 
 OBSERVATIONS: dict[str, Observation] = {}
 """All kinds of readings by their name in files; each subclass of `Observation` registers itself."""
@@ -251,14 +265,8 @@ class Observation(ABC):
         """
 
     @abstractmethod
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
-        """Return the numbers of the mountings that the formula uses ``(m, M)``.
-
-        Args:
-            table: the readings.
-            rows: rows of this kind ``(m,)``.
-            context: poses of the instruments, and what else the numbers depend on.
-        """
+    def mounting_values(self, mounted: Mounted) -> Array:
+        """Return the numbers of the mountings that the formula uses ``(m, M)``."""
 
     @abstractmethod
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
@@ -361,8 +369,3 @@ def reading_point(pose: Any, offset: Vector) -> Vector:
     """Return the point at an offset from the tool, along the platform's axes ``(3,)``."""
     turned_offset = [dot(vector(pose, 3 + 3 * k), offset) for k in range(3)]
     return linear_combination((1, vector(pose)), (1, turned_offset))
-
-
-def signed_axes(table: Table, rows: Rows) -> Array:
-    """Return the axis along which each row is counted, with its sign ``(m, 3)``."""
-    return np.asarray(table.sign[rows, None] * np.eye(3)[table.axis[rows]])

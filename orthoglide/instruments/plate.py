@@ -14,13 +14,11 @@ from orthoglide.instruments.observation import (
     InstrumentPose,
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
     SetupReadings,
-    Table,
     reading_point,
     vector,
 )
@@ -61,15 +59,15 @@ class PlateTouch(Observation):
             height = height - value * row.mounting[4 + k]
         return height - plane
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the probe's offset from the tool, its mean height, and the value of each shape of
         the plate.
         """
-        lift = np.array([pose.mean_lift for pose in context.instrument_poses])[table.setup[rows]]
-        shapes = [shape for effect in context.effects for shape in effect.shapes.values()]
-        x, y = context.normalized_plate_xy[rows].T
+        lift = mounted.by_reading(pose.mean_lift for pose in mounted.instrument_poses)
+        shapes = [shape for effect in mounted.effects for shape in effect.shapes.values()]
+        x, y = mounted.normalized_plate_xy[mounted.rows].T
         shape_values = [np.broadcast_to(shape(x, y), x.shape) for shape in shapes]
-        return np.column_stack([table.beside[rows], lift, *shape_values])
+        return np.column_stack([mounted.beside, lift, *shape_values])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return that the plane's height and slopes have no prior."""

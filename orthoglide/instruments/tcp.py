@@ -13,16 +13,13 @@ from orthoglide.instruments.observation import (
     InstrumentPose,
     InstrumentPriors,
     Ints,
-    MountingContext,
+    Mounted,
     Observation,
     ReadingVariables,
-    Rows,
     Setup,
     SetupReadings,
-    Table,
     dot,
     reading_point,
-    signed_axes,
     vector,
 )
 from orthoglide.instruments.pose_estimation import estimate_frame
@@ -63,11 +60,11 @@ class Coordinate(Observation):
         ]
         return dot(direction, turned) + dot(vector(row.mounting, 6), datum)
 
-    def mounting_values(self, table: Table, rows: Rows, context: MountingContext) -> Array:
+    def mounting_values(self, mounted: Mounted) -> Array:
         """Return the offset from the tool, the axis in the base, and the weights of the datums."""
-        rotations = np.array([pose.rotation for pose in context.instrument_poses]).reshape(-1, 3, 3)
-        directions = table.sign[rows, None] * rotations[table.setup[rows], table.axis[rows]]
-        return np.hstack([table.beside[rows], directions, signed_axes(table, rows)])
+        rotations = mounted.by_reading(pose.rotation for pose in mounted.instrument_poses)
+        directions = np.einsum("mj,mjk->mk", mounted.signed_axes, rotations)
+        return np.hstack([mounted.beside, directions, mounted.signed_axes])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return the priors of three datums and of three rotations of the frame."""

@@ -238,11 +238,7 @@ def readings_of_table(
 
 
 def _read_sequence(
-    table: Table,
-    rows: Table,
-    is_move: NDArray[np.bool_],
-    command: Column,
-    machine: MachineFile,
+    table: Table, rows: Table, is_move: NDArray[np.bool_], command: Column, machine: MachineFile
 ) -> dict[str, Any]:
     """Return commands, order, approach and moves of the rows with readings, by attribute.
 
@@ -292,14 +288,7 @@ def _note_moves_with_readings(moves: Table) -> tuple[Note, ...]:
 def _points_of_table(table: Table, name: str, machine: MachineFile) -> Readings:
     """Return the readings of a table with a row for each point of the tool."""
     column, legs = stated_commands(table, machine), machine.geometry.leg_names
-    allowed = (
-        column,
-        RHO,
-        TRAVEL,
-        APPROACH,
-        POINT,
-        SIGMAS["mm"],
-    )
+    allowed = (column, RHO, TRAVEL, APPROACH, POINT, SIGMAS["mm"])
     warnings = table.check_names(column_names(allowed, legs), column_names((column, POINT), legs))
     p = table.array(POINT)
     command = commands(table, column, machine)

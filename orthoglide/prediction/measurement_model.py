@@ -17,13 +17,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.geometry import Array
-from orthoglide.instruments import (
-    POSE_SIZE,
-    InstrumentPose,
-    MountingContext,
-    Observation,
-    ReadingVariables,
-)
+from orthoglide.instruments import POSE_SIZE, InstrumentPose, Mounted, Observation, ReadingVariables
 from orthoglide.mechanism.engine import Outputs
 from orthoglide.mechanism.rows import RowFunction, blocks
 from orthoglide.mechanism.six_bars import LINES
@@ -178,10 +172,10 @@ class MeasurementModel:
         r, formulas = self.readings, model.formulas
         for observation, rows in r.observations:
             effects = formulas.effects(observation)
-            context = MountingContext(
-                model.geometry, self.instrument_poses, self.normalized_plate_xy, effects
+            mounted = Mounted(
+                r, rows, model.geometry, self.instrument_poses, self.normalized_plate_xy, effects
             )
-            mounting = observation.mounting_values(r, rows, context)
+            mounting = observation.mounting_values(mounted)
             names = tuple(
                 formulas.parameter_names(observation, s.name)
                 if s.observation is observation
