@@ -22,16 +22,11 @@ _BED_TEMPERATURE = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.I)  #
 _PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
 _COMMENT = re.compile(r"^\s*(?:#|//|;\s*[A-Za-z]).*")
 _UNTOUCHED = ("", "nan", "-", "null", "none", "n/a")
-_TEMPERATURE = 3  # beside the axes
-_AXES = {
-    "x": 0, "y": 1, "z": 2, "height": 2, "temperature": _TEMPERATURE, "temp": _TEMPERATURE,
-}  # fmt: skip
+_AXES = {"x": 0, "y": 1, "z": 2, "height": 2}
 _UNITS = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "micron": 1e-3, "microns": 1e-3,
           "m": 1e3, "cm": 10.0, "in": 25.4, "inch": 25.4, "inches": 25.4}  # fmt: skip
 _EQUAL_PLACES = 0.01  # millimetres: grid on which places are compared
-_METRES_LIMIT = (
-    1.0  # largest coordinate of a list in metres, whose numbers are taken as millimetres
-)
+_METRES_LIMIT = 1.0  # largest coordinate of a list in metres that is taken as millimetres
 _MAX_COORDINATE = 1e5  # millimetres: no plate is wider
 _MAX_MAP_LINES = 1000  # of a height map
 
@@ -207,10 +202,8 @@ def _row(line: int, cells: Sequence[str], columns: Columns) -> Touch | None:
     if max(column for column, _ in columns.values()) >= len(cells):
         return None
     x, y, z = (_number(cells[columns[axis][0]]) * columns[axis][1] for axis in range(3))
-    temperature_column, _ = columns.get(_TEMPERATURE, (-1, 1.0))
-    temperature = _number(cells[temperature_column]) if temperature_column >= 0 else math.nan
     is_height = math.isfinite(z) or cells[columns[2][0]].lower() in _UNTOUCHED
-    return Touch(line, x, y, z, temperature) if math.isfinite(x + y) and is_height else None
+    return Touch(line, x, y, z) if math.isfinite(x + y) and is_height else None
 
 
 def _columns(cells: Sequence[str]) -> Columns:
@@ -218,11 +211,11 @@ def _columns(cells: Sequence[str]) -> Columns:
     columns: dict[int, tuple[int, float]] = {}
     for column, cell in enumerate(cells):
         words = re.findall(r"[a-zµμ]+", cell.lower())
-        axes = [_AXES[word] for word in words if word in _AXES]
-        if axes and axes[0] not in columns:
+        axis = next((_AXES[word] for word in words if word in _AXES), None)
+        if axis is not None and axis not in columns:
             unit = next((size for name, size in _UNITS.items() if name in words), 1.0)
-            columns[axes[0]] = (column, unit)
-    return columns if columns.keys() >= {0, 1, 2} else {}
+            columns[axis] = (column, unit)
+    return columns if len(columns) == 3 else {}
 
 
 def _cells(line: str) -> list[str]:
