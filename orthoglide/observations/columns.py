@@ -24,6 +24,7 @@ from orthoglide.observations.schema import (
     NAN,
     PLACE,
     RHO,
+    SETUP,
     TRAVEL,
     Column,
     at_tool,
@@ -128,26 +129,23 @@ def read_setups(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], 
         if (has_column := rows_of_kinds(kinds, column.is_fixed_in_setup)).any()
         for name in column.names()
     }
-    keys = list(zip(*cells.values(), strict=True))
-    first_rows: dict[tuple[Any, ...], int] = {}
-    for row, key in enumerate(keys):
-        first_rows.setdefault(key, row)
-    setups = {
-        k: _make_setup(table, row, dict(zip(cells, k, strict=True)))
-        for k, row in first_rows.items()
-    }
-    key_by_name: dict[str, tuple[Any, ...]] = {}
-    for key, setup in setups.items():
-        if (other_key := key_by_name.setdefault(setup.name, key)) is not key:
-            differing = next(n for n, a, b in zip(cells, key, other_key, strict=True) if a != b)
+    name_column, setups, numbers = list(cells).index(SETUP.name), list[Setup](), list[int]()
+    first_by_name: dict[str, tuple[int, int, tuple[Any, ...]]] = {}  # number, row and cells
+    for row, key in enumerate(zip(*cells.values(), strict=True)):
+        given = (len(setups), row, key)
+        number, first_row, first_key = first_by_name.setdefault(key[name_column], given)
+        if row == first_row:
+            setups.append(_make_setup(table, row, dict(zip(cells, key, strict=True))))
+        elif key != first_key:
+            differing = next(n for n, a, b in zip(cells, key, first_key, strict=True) if a != b)
             remedy = _UNIQUE_NAME_REMEDY[int(rows_of_kinds(kinds, at_tool).any())]
             table.fail(
-                f"setup {setup.name!r} has another {differing} here than on line "
-                f"{table.lines[first_rows[other_key]]}: {remedy}",
-                first_rows[key],
+                f"setup {key[name_column]!r} has another {differing} here than on line "
+                f"{table.lines[first_row]}: {remedy}",
+                row,
             )
-    places = {key: place for place, key in enumerate(setups)}
-    return tuple(setups.values()), np.array([places[key] for key in keys])
+        numbers.append(number)
+    return tuple(setups), np.array(numbers)
 
 
 def _make_setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:

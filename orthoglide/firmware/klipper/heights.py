@@ -170,16 +170,14 @@ def _microstep_ratios(
         excess, most = _excess(value, _positions(numbers, way * ratios))
         if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
             if ratio != 1.0:
-                stored = (
+                alone, outcome = _single_tower(ratios), "and are converted"
+                if alone:
+                    outcome = f"on {alone} alone: correct its microsteps, or run DELTA_CALIBRATE"
+                config.note(
+                    CHANGED_NOTE if alone else "readings",
                     f"the positions of {kind}s in [delta_calibrate] were stored with "
-                    f"{1 / ratio:g} times the microsteps of now"
+                    f"{1 / ratio:g} times the microsteps of now, {outcome}",
                 )
-                if alone := _single_tower(ratios):
-                    config.note(CHANGED_NOTE, f"{stored}, on {alone} alone: correct its "
-                        f"microsteps, full_steps_per_rotation or rotation_distance, or run "
-                        f"DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again")  # fmt: skip
-                else:
-                    config.note("readings", f"{stored}, and are converted")
             return ratios
     return np.ones(3)
 
@@ -246,8 +244,8 @@ def _step_factors(
         f"the {' and '.join(f'{kind}s' for kind in scaled)} of [delta_calibrate] fit the stored "
         f"numbers with steps{alone and f' of {alone}'} that are "
         f"{abs(ratio - 1) * 1e2:.2f} % {'longer' if ratio > 1 else 'shorter'} than now{example}: "
-        f"rotation_distance or the microsteps were changed after the calibration. Restore the old "
-        f"value, or run DELTA_CALIBRATE and SAVE_CONFIG and probe the mesh again",
+        f"rotation_distance or the microsteps were changed after the calibration; restore them, or "
+        f"run DELTA_CALIBRATE",
     )
     return dict.fromkeys(scaled, factor)
 
@@ -277,8 +275,8 @@ def _plausible_rows(
         config.note(
             CALIBRATE_NOTE if p.shape[1] == 1 else "readings",
             f"left out: all {len(plausible)} {kind}s of [delta_calibrate]{misses}: they are of "
-            f"different times, or a number of one tower is wrong: look at its angle, arm_length, "
-            f"microsteps, full_steps_per_rotation and rotation_distance, and run DELTA_CALIBRATE",
+            f"different times, or a number of one tower is wrong: correct it, or run "
+            f"DELTA_CALIBRATE",
         )
         return plausible
     elsewhere = ", or in another place of DELTA_ANALYZE's list" if p.shape[1] > 1 else ""
@@ -320,10 +318,7 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
     if not is_far and not (is_level and abs(mean) > _MIN_ENDSTOP_SHIFT):
         return 0.0
     shift = mean if is_level else median
-    doubt = (
-        "; if these heights are of another machine, or of another hotend, run DELTA_CALIBRATE "
-        "again before you enter anything"
-    )
+    doubt = "; if they are of another machine or hotend, run DELTA_CALIBRATE again"
     config.note(
         CALIBRATE_NOTE if is_far else "heights",
         f"the {kind}s of [delta_calibrate] are {'all ' * is_level}{signed(shift * 1e3, 2)} mm away "
