@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.errors import FileError
 from orthoglide.geometry import Array
-from orthoglide.instruments import OBSERVATIONS, Setup
+from orthoglide.instruments import Setup
 from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
@@ -48,17 +48,13 @@ class Imported:
 class Row:
     """One reading, SI."""
 
-    kind: str  # of the instrument
-    setup: str
+    setup: Setup
     label: str  # for people
     travel: Array  # of the carriages from mechanical zero (3,), metres
     reading: float  # metres
     second: Array | None = None  # travel at the other end of a distance (3,), metres
-    beside: Array | None = None  # where the probe is from the nozzle (2,), metres
     sigma: float = float("nan")  # metres; nan: the machine file's
-    turned: float = 0.0  # by how much the plate was turned on its seat, degrees
     temperature: float = float("nan")  # that the firmware recorded then, degrees Celsius
-    material: str = ""  # of a part on which a distance was read
     repeat: int = 1  # number of the visit
     line: int | None = None  # in the file; ``None``: that of the campaign to be written
 
@@ -101,21 +97,15 @@ def campaign_of_rows(
         shown = machine.controller.from_rho(travel, machine.geometry)
         return check_commands(shown, True, machine, fail)
 
-    setups = dict[str, Setup]()
-    for row in rows:
-        x, y = rounded(np.zeros(2) if row.beside is None else row.beside).tolist()
-        setups[row.setup] = Setup(
-            row.setup, kind=row.kind, beside=(x, y, 0.0), turned=row.turned, material=row.material
-        )
-    numbers = {setup: number for number, setup in enumerate(setups)}
-    touches = np.array([[OBSERVATIONS[row.kind].touches] for row in rows])
+    numbers = {setup: k for k, setup in enumerate(dict.fromkeys(row.setup for row in rows))}
+    touches = np.array([[row.setup.observation.touches] for row in rows])
     second = np.full((len(rows), 3), np.nan)
     paired = [k for k, row in enumerate(rows) if row.second is not None]
     second[paired] = command([rows[k].second for k in paired])
     temperature = np.array([row.temperature for row in rows])
     readings = Readings(
         name,
-        tuple(setups.values()),
+        tuple(numbers),
         np.array([numbers[row.setup] for row in rows]),
         command([row.travel for row in rows]),
         rounded([row.reading for row in rows]),

@@ -27,7 +27,7 @@ from orthoglide.firmware.imported import (
 from orthoglide.firmware.touches import MIN_PLACES, Touch, TouchLists, read_touches
 from orthoglide.foreign import refuse_foreign
 from orthoglide.geometry import fit_plane
-from orthoglide.instruments import PlateTouch
+from orthoglide.instruments import PlateTouch, Setup
 from orthoglide.machine_file import AnyMachine, DeltaKinematics, machine_file_of
 from orthoglide.notes import Note
 from orthoglide.observations.touched_plates import disagreements
@@ -128,11 +128,11 @@ def _usable_touches(
 def _rows(name: str, touches: Sequence[Touch], kinematics: DeltaKinematics) -> Iterator[Row]:
     """Yield touches as readings; a place that is touched again at once is visited again."""
     travel = kinematics.travel(np.array([(t.x, t.y, t.z) for t in touches]) * 1e-3)
-    repeat = 1
+    repeat, setup = 1, Setup(name, kind=PlateTouch.kind)
     for k, (touch, position) in enumerate(zip(touches, travel, strict=True)):
         repeat = repeat + 1 if k and touch.place == touches[k - 1].place else 1
         yield Row(
-            PlateTouch.kind, name, f"{touch.x:g} {touch.y:g}", position, 0.0,
+            setup, f"{touch.x:g} {touch.y:g}", position, 0.0,
             temperature=touch.temperature, repeat=repeat, line=touch.line,
         )  # fmt: skip
 

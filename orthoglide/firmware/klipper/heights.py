@@ -19,7 +19,7 @@ from orthoglide.firmware.imported import Row
 from orthoglide.firmware.klipper.config import Config, ConfigSection
 from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, fit_plane
-from orthoglide.instruments import PRINTED, Distance, PlateTouch
+from orthoglide.instruments import PRINTED, Distance, PlateTouch, Setup
 from orthoglide.numerals import compact, plain, signed
 
 PROBE_REPEATABILITY = 1.8e-5
@@ -77,7 +77,7 @@ def probe_offset(config: Config) -> tuple[float, Array]:
         return 0.0, np.zeros(2)
     beside = [config.number_or_zero(section.name, f"{axis}_offset", -200, 200) for axis in "xy"]
     above = config.number_or_zero(section.name, "z_offset", -100, 100)
-    return above * 1e-3, np.array(beside) * 1e-3
+    return above * 1e-3, np.round(np.array(beside) * 1e-3, 12)  # lengths without rounding errors
 
 
 def stored_readings(config: Config, numbers: Numbers) -> tuple[list[Row], bool]:
@@ -335,7 +335,7 @@ def _height_rows(
     ``height`` are 0 although the probe has an offset; else by the probe.
     """
     offset, beside = probe_offset(config)
-    stored_offset, touch_offset = float(np.median(value)), None
+    stored_offset, touched_beside = float(np.median(value)), (0.0, 0.0)
     if kind == "height" and abs(offset) >= _MIN_PROBE_OFFSET and not value.any():
         config.note(
             "heights",
@@ -344,7 +344,7 @@ def _height_rows(
             "z_offset of 0, run DELTA_CALIBRATE again",
         )
     elif kind == "height":
-        touch_offset = beside
+        touched_beside = tuple(beside.tolist())
         if not shift and offset and abs(stored_offset - offset) > _EQUAL_OFFSETS:
             config.note(
                 "heights",
@@ -353,22 +353,23 @@ def _height_rows(
                 f"now: the nozzle may end {abs(stored_offset - offset) * 1e3:.2g} mm too high or "
                 f"too low; run DELTA_CALIBRATE again",
             )
-    setup = {"height": "heights", "manual_height": "manual-heights"}[kind]
+    name = {"height": "heights", "manual_height": "manual-heights"}[kind]
+    setup = Setup(name, kind=PlateTouch.kind, beside=(*touched_beside, 0.0))
     for position, height in zip(travel, value.tolist(), strict=True):
         label = f"{position[0] * 1e3:.0f} {position[1] * 1e3:.0f}"
-        yield Row(PlateTouch.kind, setup, label, position, height + shift, beside=touch_offset)
+        yield Row(setup, label, position, height + shift)
 
 
 def _distance_rows(keys: Sequence[str], value: Array, travel: Array) -> Iterator[Row]:
     """Yield distances of a printed part: six spokes and six sides of its rim, each between two
     pillars.
     """
+    spokes, rim = (Setup(n, kind=Distance.kind, material=PRINTED) for n in ("spokes", "rim"))
     for key, ends, distance in zip(keys, travel, value.tolist(), strict=True):
         label = key.removeprefix("distance")
         is_rim = int(label) % 12 >= 6
-        setup, sigma = ("rim", RIM_REPEATABILITY) if is_rim else ("spokes", math.nan)
-        yield Row(Distance.kind, setup, label, ends[0], distance, second=ends[1], sigma=sigma,
-                  material=PRINTED)  # fmt: skip
+        setup, sigma = (rim, RIM_REPEATABILITY) if is_rim else (spokes, math.nan)
+        yield Row(setup, label, ends[0], distance, second=ends[1], sigma=sigma)
 
 
 def _microstep(config: Config, tower: str) -> float:

@@ -15,7 +15,7 @@ from orthoglide.firmware.klipper.config import Config, ConfigSection
 from orthoglide.firmware.klipper.heights import probe_offset
 from orthoglide.firmware.klipper.numbers import Numbers
 from orthoglide.geometry import Array, fit_plane
-from orthoglide.instruments import PlateTouch
+from orthoglide.instruments import PlateTouch, Setup
 from orthoglide.numerals import signed
 
 _MAX_TOUCHES = 1000  # of a mesh: a bed is smooth, and neighbours of a scan read nearly the same
@@ -54,7 +54,9 @@ def stored_meshes(
         if not rows:
             continue
         command = np.array([row.travel for row in rows])
-        first_profile = profile_by_content.setdefault((rows[0].turned, command.tobytes()), profile)
+        first_profile = profile_by_content.setdefault(
+            (rows[0].setup.turned, command.tobytes()), profile
+        )
         if first_profile != profile:
             config.note(
                 "mesh",
@@ -85,7 +87,7 @@ def _unique_name(profile: str, taken: Mapping[str, object]) -> str:
 
 
 def _touches(
-    config: Config, numbers: Numbers, section: ConfigSection, setup: str, turned: float
+    config: Config, numbers: Numbers, section: ConfigSection, name: str, turned: float
 ) -> Iterator[Row]:
     """Yield the touches of a profile.
 
@@ -124,10 +126,11 @@ def _touches(
             f"reach {farthest * 1e3:.0f} mm out, beyond the arms: probe the mesh again, or remove "
             f"the profile",
         )
+    probe_place = (*beside.tolist(), 0.0)
+    setup = Setup(name, kind=PlateTouch.kind, beside=probe_place, turned=turned)
     for position, (x, y) in zip(travel, places[rows_kept] * 1e3, strict=True):
         label = f"{x:.6g} {y:.6g}"
-        yield Row(PlateTouch.kind, setup, label, position, height, beside=beside, turned=turned,
-                  temperature=section.temperature)  # fmt: skip
+        yield Row(setup, label, position, height, temperature=section.temperature)
 
 
 def _touched_points(
