@@ -35,10 +35,10 @@ sys.path.insert(0, str(ROOT))
 from orthoglide import reduction
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Problem, assemble
-from orthoglide.fit.crosscheck import reduction_fit
+from orthoglide.fit.crosscheck import by_reduction
+from orthoglide.fit.gauss_newton import solve_nested
 from orthoglide.fit.least_squares import Nuisances, linearise, normal_equations, nuisances
-from orthoglide.fit.nlp import Nlp
-from orthoglide.fit.solving import solve_nested
+from orthoglide.fit.nlp import solve_programme
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Campaign, read_campaign
@@ -126,24 +126,15 @@ def ways(problem: Problem) -> dict[str, Callable[[], Array]]:
     """Every way of solving a problem once."""
     first = linearise(problem, problem.start)
     nuisance = nuisances(problem, first.reading_poses)
-    scale = 1 / np.sqrt(np.diag(normal_equations(problem, first, nuisance).information))
-    warm = Nlp(problem, nuisance, scale)
-    joints = warm.start_joints(problem, first.x)
+    initial = normal_equations(problem, first, nuisance)
 
-    def cold() -> Array:
-        programme = Nlp(problem, nuisance, scale)
-        at = programme.start_joints(problem, first.x)
-        return programme.solve(problem.measured, first.x, at).x
+    def nested(predicted: Problem) -> Array:
+        return solve_nested(predicted, nuisance, linearise(predicted, first.x))[0].x
 
     return {
-        "programme over the mechanism, built and solved": cold,
-        "programme over the mechanism, solved again": lambda: (
-            warm.solve(problem.measured, first.x, joints).x
-        ),
-        "mechanism nested": lambda: (
-            solve_nested(problem, nuisance, linearise(problem, first.x))[0].x
-        ),
-        "reduction, its own Newton": lambda: reduction_fit(problem, nuisance).values[:-1],
+        "programme over the mechanism": lambda: solve_programme(problem, nuisance, initial)[0],
+        "mechanism nested": lambda: nested(problem),
+        "reduction, nested": lambda: nested(by_reduction(problem)),
         "reduction, scipy.optimize.least_squares": lambda: by_scipy(problem, nuisance),
     }
 
@@ -161,7 +152,7 @@ def small(machine: Machine, rounds: int) -> Iterator[Row]:
     for name, problem in problems(machine):
         chosen = ways(problem)
         found = {way: solve() for way, solve in chosen.items()}  # also warms up
-        reference = found["reduction, its own Newton"]
+        reference = found["reduction, nested"]
         for way, x in found.items():
             apart = float(np.max(np.abs(x - reference)))
             if apart > SAME:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -187,17 +187,7 @@ class Comparison:
 
     def fit_tcp(self, p: Array) -> Array:
         """Return offsets and lengths ``(6,)`` fitted to the TCP by least squares."""
-        from scipy.optimize import least_squares  # which is slow to load
-
-        fit = least_squares(
-            lambda six: (self.reduction_tcp(six) - p).ravel(), np.zeros(6), method="lm",
-            xtol=_FIT_TOLERANCE, ftol=_FIT_TOLERANCE, gtol=_FIT_TOLERANCE,
-        )  # fmt: skip
-        if not fit.success:
-            raise NumericsError(
-                "the reduction does not converge on the TCP: are the errors absurd?"
-            )
-        return np.asarray(fit.x)
+        return _least_squares(lambda six: (self.reduction_tcp(six) - p).ravel())
 
     def difference(self, differences: Array) -> Difference:
         """Return mean and largest value of differences ``(2 n, 3)`` over the workspace."""
@@ -228,19 +218,39 @@ class Comparison:
         """Return the fields of a row that come from readings of dials."""
         campaign, readings = self.campaign, self.model.readings(values, self.campaign)
         datums = np.eye(len(campaign.setups))[campaign.setup]
-        change = readings - self.model.readings({}, campaign)
-        change = change - datums @ np.linalg.lstsq(datums, change, rcond=None)[0]
+        mean = datums @ np.linalg.pinv(datums)
+
+        def without_datums(rows: Array) -> Array:
+            return np.asarray(rows - mean @ rows)
+
+        change = without_datums(readings - self.model.readings({}, campaign))
         setups = [campaign.setups[k] for k in campaign.setup]
         axes, gauges, signs = zip(*((s.axis, s.gauge, s.sign) for s in setups), strict=True)
-        best = reduction.fit_readings(
-            campaign.command, campaign.leg, axes, gauges, readings, READING_LIMIT,
-            signs=signs, nuisance=datums, geometry=self.geometry,
-        )  # fmt: skip
+
+        def residual(six: Array) -> Array:
+            predicted = reduction.predict_readings(
+                campaign.command, campaign.leg, axes, gauges, *np.split(six, 2),
+                geometry=self.geometry,
+            ).values  # fmt: skip
+            return without_datums(readings - signs * predicted)
+
+        best = residual(_least_squares(residual))
         return {
             "reading_change": float(np.sqrt(np.mean(change**2))),
-            "reading_rms": float(np.sqrt(np.mean(best.residuals**2))),
-            "reading_max": float(np.abs(best.residuals).max()),
+            "reading_rms": float(np.sqrt(np.mean(best**2))),
+            "reading_max": float(np.abs(best).max()),
         }
+
+
+def _least_squares(residual: Callable[[Array], Array]) -> Array:
+    """Return the offsets and lengths ``(6,)`` with the least sum of squares."""
+    from scipy.optimize import least_squares  # which is slow to load
+
+    exact = {"xtol": _FIT_TOLERANCE, "ftol": _FIT_TOLERANCE, "gtol": _FIT_TOLERANCE}
+    fit = least_squares(residual, np.zeros(6), method="lm", **exact)
+    if not fit.success:
+        raise NumericsError("the reduction does not converge on the TCP: are the errors absurd?")
+    return np.asarray(fit.x)
 
 
 def compare_effects(

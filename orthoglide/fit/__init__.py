@@ -8,7 +8,7 @@ In the order of the data:
 - ``unknowns``: the parameters to identify; ``problem``: unknowns and factors of an identification,
   ``assembling``: its construction; ``excitation``: effects that its readings could show.
 - ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
-- ``solving``: choice of the method, tests of its answer, and Gauss-Newton with nested closures;
+- ``solving``: choice of the method and tests of its answer; ``gauss_newton``: nested closures;
   ``nlp``: a programme with the closures as constraints.
 - ``crosscheck``: comparison with the reduction, and with postures closed by Pinocchio.
 - ``scores``: goodness of fit; ``estimate``: identified values with their uncertainty.

@@ -91,8 +91,6 @@ def build_problem(
     Raises:
         InputError: where the arguments do not fit together.
     """
-    if not factors:
-        raise InputError("there is no campaign: give at least one file of readings")
     unfreed = Problem(
         machine, tuple(factors), (), noise, priors, (), tuple(per_campaign), earlier_posterior
     )

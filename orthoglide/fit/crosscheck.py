@@ -1,92 +1,75 @@
-"""Checks of a fit by other derivations: of its values by the reduction's own fit and the linear
-system (11), of its postures by Pinocchio's constraint Jacobian.
+"""Checks of a fit by other derivations: of its values by the reduction and the linear system (11),
+of its postures by Pinocchio's constraint Jacobian.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
-from orthoglide.errors import CrossCheckError
+from orthoglide.errors import CrossCheckError, SolverError
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.least_squares import Linearised, Nuisances
+from orthoglide.fit.factors import Factor
+from orthoglide.fit.gauss_newton import solve_nested
+from orthoglide.fit.least_squares import (
+    Linearised,
+    Nuisances,
+    covariance,
+    linearise,
+    normal_equations,
+)
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.mechanism.engine import PinocchioEngine
+from orthoglide.prediction import Model, ReadingPoses
+from orthoglide.prediction.measurement_model import LinearRows
 from orthoglide.result.fits import CrossCheck, Verification
 
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
 
-_REDUCTION_PARAMETERS = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
+_SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
 
 
-def reduction_fit(
-    problem: Problem,
-    nuisance: Nuisances,
-    *,
-    linear: bool = False,
-    start: Array | None = None,
-    held: NDArray[np.bool_] | None = None,
-) -> reduction.ReadingFit:
-    """Return the reduction's fit of a problem, with its noise, priors, datums and placements.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReducedFactor(Factor):
+    """Readings of dials on legs as the reduction predicts them."""
 
-    Readings are the means of the stations, in the order of ``problem.station``: visits to a
-    station differ in nothing that the reduction describes.
+    linear: bool  # by system (11), generalised to any readings
 
-    Args:
-        problem: with no unknowns but joint offsets and leg lengths.
-        nuisance: the frozen columns.
-        linear: whether to fit system (11), generalised to any readings.
-        start: initial values ``(P,)``; the problem's where absent.
-        held: unknowns that stay at their start ``(P,)``; none where absent. Bounds do not act.
+    def linearise(
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+    ) -> LinearRows:
+        """Return the readings with their derivative by some of the six parameters."""
+        r, six = self.readings, np.array([values.get(name, 0.0) for name in _SIX])
+        predicted = reduction.predict_readings(
+            r.command, r.leg, r.axis, r.gauge, *np.split(0 * six if self.linear else six, 2),
+            geometry=model.geometry,
+        )  # fmt: skip
+        value = predicted.values
+        if self.linear:
+            value = value + predicted.gradient @ six
+        columns = [_SIX.index(name) for name in names]
+        unplaced = ReadingPoses(*np.zeros((3, len(r), 0)))
+        return LinearRows(
+            r.sign * value, r.sign[:, None] * predicted.gradient[:, columns], unplaced
+        )
+
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+        """Return the predicted readings ``(n,)``."""
+        return self.linearise(model, values, ()).value
+
+
+def by_reduction(problem: Problem, *, linear: bool = False) -> Problem:
+    """Return a problem to which the reduction applies, with readings as that predicts them; with
+    ``linear`` by system (11).
     """
-    weighing, campaigns = nuisance.weighing, problem.campaigns
-    first_rows = weighing.first_rows
-    group = np.repeat(np.arange(len(campaigns)), [len(c) for c in campaigns])
-    command, leg, axis, gauge, sign = (column[first_rows] for column in _dial_columns(problem))
-    maps = np.zeros((len(campaigns), 6, len(problem.unknowns) + 1))
-    for k in range(len(campaigns)):
-        maps[k, :, :-1], maps[k, :, -1] = _reduction_weights(problem, k)
-    free = np.ones(len(problem.unknowns), dtype=bool) if held is None else ~held
-    # The last parameter is held at one: its column holds the values of the machine file.
-    return reduction.fit_readings(
-        command,
-        leg,
-        axis,
-        gauge,
-        weighing.means(problem.measured),
-        weighing.mean_sigma,
-        signs=sign,
-        free=np.append(free, False),
-        prior_sd=np.append(problem.prior_sd, np.inf),
-        nuisance=weighing.means(nuisance.columns),
-        precision=nuisance.precision,
-        x0=np.append(problem.start if start is None else start, 1.0),
-        group=group[first_rows],
-        maps=maps,
-        geometry=problem.machine.geometry,
-        linear=linear,
-    )
-
-
-def _reduction_weights(problem: Problem, campaign: int) -> tuple[Array, Array]:
-    """Return the weights of the unknowns in a campaign's six parameters of the reduction
-    ``(6, P)``, and the held values of these ``(6,)``.
-    """
-    held = np.array([problem.held[campaign].get(name, 0.0) for name in _REDUCTION_PARAMETERS])
-    weights = [u.weights[campaign] for u in problem.unknowns]
-    return weight_matrix(_REDUCTION_PARAMETERS, weights), held
-
-
-def _dial_columns(problem: Problem) -> list[Any]:
-    """Return command ``(n, 3)``, leg, axis, gauge and sign ``(n,)`` of every dial reading."""
-    return [problem.dial_column(name) for name in ("command", "leg", "axis", "gauge", "sign")]
+    columns = [{f.name: getattr(k, f.name) for f in fields(k)} for k in problem.leg_factors]
+    return problem.with_leg_factors([ReducedFactor(**given, linear=linear) for given in columns])
 
 
 def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> CrossCheck | None:
@@ -98,48 +81,54 @@ def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> Cross
     """
     if not problem.reduction_applies:
         return None
-    # Unknowns on a bound are held there; far from the start the legs need not meet.
-    held = problem.on_bound(fit.x)
-    start = fit.x if held.any() else problem.start
-    reduced = reduction_fit(problem, nuisance, start=start, held=held)
-    difference = float(np.max(np.abs(reduced.values[:-1] - fit.x), initial=0.0))
-    if not reduced.converged or difference > AGREEMENT:
+    # With unknowns on their bounds the legs need not meet far from the fit.
+    start = fit.x if problem.on_bound(fit.x).any() else problem.start
+    reduced = by_reduction(problem)
+    try:
+        x = solve_nested(reduced, nuisance, linearise(reduced, start))[0].x
+        difference = float(np.max(np.abs(x - fit.x), initial=0.0))
+    except SolverError:
+        difference = float("inf")
+    if not difference <= AGREEMENT:
         raise CrossCheckError(
             f"the mechanism and the reduction disagree by {difference * 1e3:.3g} mm on the same "
             f"readings: do not use these values, and report the campaign",
             difference=difference,
         )
-    linear = reduction_fit(problem, nuisance, linear=True, start=start, held=held)
-    weighing = nuisance.weighing
-    fitted = fit.value + nuisance.explained_residual(problem.measured - fit.value)
-    nonlinearity = fitted - linear.readings[weighing.station]
-    norm = np.linalg.norm(weighing.whiten(nonlinearity)) / np.linalg.norm(weighing.weight)
-    largest, bound = (
-        np.abs(nonlinearity).max(initial=0.0),
-        _second_order_bound(problem, nuisance, fit),
+    linear = linearise(by_reduction(problem, linear=True), fit.x)
+    equations, free = normal_equations(problem, linear, nuisance), ~problem.on_bound(fit.x)
+    step_by_gradient, _ = covariance(equations.jacobian[:, free], equations.prior[:, free])
+    value = linear.value - linear.jacobian[:, free] @ step_by_gradient @ equations.gradient[free]
+    fitted, linear_fitted = (
+        rows + nuisance.explained_residual(problem.measured - rows) for rows in (fit.value, value)
     )
-    return CrossCheck(difference, float(largest), bound, float(norm))
+    weighing, nonlinearity = nuisance.weighing, fitted - linear_fitted
+    norm = np.linalg.norm(weighing.whiten(nonlinearity)) / np.linalg.norm(weighing.weight)
+    largest = float(np.abs(nonlinearity).max(initial=0.0))
+    bound = _second_order_bound(problem, nuisance, fit, linear)
+    return CrossCheck(difference, largest, bound, float(norm))
 
 
-def _second_order_bound(problem: Problem, nuisance: Nuisances, fit: Linearised) -> float:
+def _second_order_bound(
+    problem: Problem, nuisance: Nuisances, fit: Linearised, linear: Linearised
+) -> float:
     """Return the largest norm of the difference between nonlinear and linear fit in theory.
 
     With f(x) = J0 x + e and residual q of the nonlinear fit, the linear fit is P0 (f + q), P0 the
     projection on the linear system's columns: the difference is (1 - P0) e - P0 q, no longer than
     |e| + |P0 q| in the norm of the noise.
+
+    Args:
+        problem: that was solved.
+        nuisance: the frozen columns.
+        fit: at its solution.
+        linear: system (11) at the same values.
     """
-    x, value = fit.x, fit.value
-    *dials, sign = _dial_columns(problem)
-    reduced = reduction.predict_readings(*dials, geometry=problem.machine.geometry)
-    by_parameters = sign[:, None] * reduced.gradient
-    by_x, constant = np.zeros((len(sign), len(x))), np.zeros(len(sign))
-    for k, rows in enumerate(problem.leg_rows):
-        by_unknowns, held = _reduction_weights(problem, k)
-        by_x[rows], constant[rows] = by_parameters[rows] @ by_unknowns, by_parameters[rows] @ held
     prior = np.diag(1 / problem.prior_sd)
-    jacobian = np.vstack([nuisance.project(by_x), prior])[:, ~problem.on_bound(x)]
-    remainder = nuisance.project(value - by_x @ x - constant)
-    residual = np.concatenate([nuisance.project(problem.measured - value), -x / problem.prior_sd])
+    jacobian = np.vstack([nuisance.project(linear.jacobian), prior])[:, ~problem.on_bound(fit.x)]
+    remainder = nuisance.project(fit.value - linear.value)
+    residual = nuisance.project(problem.measured - fit.value)
+    residual = np.concatenate([residual, -fit.x / problem.prior_sd])
     basis, _ = np.linalg.qr(jacobian)
     bound = float(np.linalg.norm(remainder) + np.linalg.norm(basis.T @ residual))
     return bound / float(np.linalg.norm(nuisance.weighing.weight))

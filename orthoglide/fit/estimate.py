@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orthoglide.errors import check_choice
-from orthoglide.fit.least_squares import Linearised, Nuisances, linearise_placed, nuisances
+from orthoglide.fit.least_squares import (
+    Linearised,
+    Nuisances,
+    linearise_placed,
+    normal_equations,
+    nuisances,
+)
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.scores import FittedRows, Scores, score
 from orthoglide.frames import Framed
@@ -137,8 +143,8 @@ class Estimate(Framed):
     @cached_property
     def nominal(self) -> Scores:
         """Scores of the uncalibrated machine (the unknowns at zero)."""
-        linearised, rows = self._before_calibration
-        return score(rows, linearised)
+        linear, rows = self._before_calibration
+        return score(rows, normal_equations(rows.problem, linear, rows.nuisance))
 
     @property
     def predicted_before(self) -> Array:

@@ -178,18 +178,22 @@ class NormalEquations:
         prior_gradient = self.prior.T @ (self.prior @ self.x - self.target)
         return np.asarray(prior_gradient - self.jacobian.T @ self.residual)
 
-    @property
+    @cached_property
     def information(self) -> Array:
         """Gauss-Newton normal matrix, priors included ``(P, P)``."""
         return np.asarray(self.jacobian.T @ self.jacobian + self.prior.T @ self.prior)
 
     @property
+    def single_sd(self) -> Array:
+        """Standard deviation of each unknown if all others were known ``(P,)``, SI."""
+        return np.asarray(1 / np.sqrt(np.maximum(np.diag(self.information), 1e-300)))
+
+    @property
     def hat_eigenvalues(self) -> Array:
         """Eigenvalues of the hat matrix ``(P,)``: shares of unknowns that the data determine."""
-        information = self.information
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        data = self.jacobian.T @ self.jacobian / scale / scale[:, None]
-        hat = np.linalg.lstsq(information / scale / scale[:, None], data, rcond=1e-14)[0]
+        scale = np.outer(self.single_sd, self.single_sd)
+        data = self.jacobian.T @ self.jacobian * scale
+        hat = np.linalg.lstsq(self.information * scale, data, rcond=1e-14)[0]
         return np.asarray(np.clip(np.linalg.eigvals(hat).real, 0.0, 1.0))
 
 
@@ -200,22 +204,17 @@ def normal_equations(problem: Problem, linear: Linearised, nuisance: Nuisances) 
     return NormalEquations(residual, jacobian, *problem.prior_rows, linear.x)
 
 
-def joint_prior_rows(problem: Problem, nuisance: Nuisances) -> Array:
-    """Return the rows of the priors of unknowns and nuisances ``(q + k, P + k)``."""
-    from scipy.linalg import block_diag
-
-    matrix, _ = problem.prior_rows
-    return np.asarray(block_diag(matrix, nuisance.augmented[len(problem.measured) :]))
-
-
 def fitted_basis(problem: Problem, nuisance: Nuisances, linear: Linearised) -> Array:
     """Return orthonormal columns of all fitted parameters with their priors
     ``(n + q + k, P + k)``, or fewer columns.
 
     The first ``n`` rows are those of the readings: their squares sum to the leverage.
     """
+    from scipy.linalg import block_diag
+
     whitened = nuisance.weighing.whiten(np.hstack([linear.jacobian, nuisance.columns]))
-    columns = np.vstack([whitened, joint_prior_rows(problem, nuisance)])
+    priors = problem.prior_rows[0], nuisance.augmented[len(problem.measured) :]
+    columns = np.vstack([whitened, block_diag(*priors)])
     del whitened  # of many readings it is large
     return orthonormal(columns)
 

@@ -7,22 +7,22 @@ readings, so that one tolerance suits all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import SolverError
 from orthoglide.fit.factors import Factor
-from orthoglide.fit.least_squares import Nuisances
+from orthoglide.fit.least_squares import NormalEquations, Nuisances
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.instruments import POSE_SIZE
 from orthoglide.mechanism.six_bars import OUTPUT_SIZE
 from orthoglide.mechanism.symbolic import closure_functions
-from orthoglide.prediction import Model
+from orthoglide.prediction import Conditions, Model
 
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
@@ -44,119 +44,101 @@ _OPTIONS: dict[str, Any] = {
 _MAX_EXPANDED_POSTURES = 64
 
 
-@dataclass(frozen=True)
-class NlpResult:
-    """The solver's answer, not checked yet."""
-
-    x: Array  # unknowns (P,), SI
-    closure: float  # largest closure residual, metres or radians
-    iterations: int  # of IPOPT
+Postures = list[tuple[Conditions, NDArray[np.intp]]]
+"""For each factor, its distinct conditions, and both postures of each reading among them."""
 
 
-class Nlp:
-    """The programme of one problem; built once, solved for any number of sets of readings.
+def solve_programme(
+    problem: Problem, nuisance: Nuisances, initial: NormalEquations
+) -> tuple[Array, int]:
+    """Return IPOPT's answer ``(P,)``, SI, not checked yet, and its number of iterations.
 
     Args:
-        problem: its structure, noise and priors are built in; its readings are not.
+        problem: to be solved.
         nuisance: columns frozen for the fit.
-        scale: of the unknowns ``(P,)``, SI: standard deviation of each alone.
+        initial: equations at the initial values.
+
+    Raises:
+        SolverError: where IPOPT reports a failure.
     """
-
-    def __init__(self, problem: Problem, nuisance: Nuisances, scale: Array) -> None:
-        self._unknown_scale = scale
-        self._length_unit = float(np.median(problem.sigma))  # of readings, datums and closures
-        self._angle_unit = self._length_unit / problem.machine.geometry.L  # of angles
-        model = problem.machine.model
-        # Distinct conditions of each factor, and both postures of each reading.
-        self._postures = [
-            factor.postures(model, [*problem.elementary_parameters(k)[0], *problem.held[k]])
-            for k, factor in enumerate(problem.factors)
-        ]
-        self._closure_functions = closure_functions(model.mechanism.tree)
-        self.postures = sum(len(conditions) for conditions, _ in self._postures)
-        x = ca.MX.sym("x", len(problem.unknowns))
-        joints = ca.MX.sym("joints", 21, self.postures)
-        z = ca.MX.sym("z", nuisance.count)
-        measured = ca.MX.sym("measured", len(problem.measured))
-        closure, predicted = self._symbolic_model(
-            problem, x * self._unknown_scale, joints * self._angle_unit
-        )
-        has_prior = nuisance.precision > 0
-        columns = np.full(nuisance.count, self._length_unit)
-        columns[has_prior] = nuisance.precision[has_prior] ** -0.5
-        fitted = predicted + ca.DM(nuisance.columns * columns) @ z
-        residual = _whitened(measured - fitted, nuisance.weighing)
-        matrix, target = problem.prior_rows
-        prior = ca.DM(matrix * self._unknown_scale) @ x - ca.DM(target)
-        scaled_nuisances = z * (columns * np.sqrt(nuisance.precision))
-        cost = (ca.sumsqr(residual) + ca.sumsqr(prior) + ca.sumsqr(scaled_nuisances)) / 2
-        programme = {
-            "x": ca.vertcat(x, ca.vec(joints), z),
-            "p": measured,
-            "f": cost,
-            "g": ca.vec(closure) / self._length_unit,
-        }
-        options = {**_OPTIONS, "expand": self.postures <= _MAX_EXPANDED_POSTURES}
-        self._solver = ca.nlpsol("identify", "ipopt", programme, options)
-        free = np.full(21 * self.postures + nuisance.count, np.inf)
-        self._upper = np.concatenate([problem.bound / scale, free])
-
-    def _symbolic_model(self, problem: Problem, x: Any, joints: Any) -> tuple[Any, Any]:
-        """Return closures of all postures, and predicted rows of all factors, as MX."""
-        model, functions = problem.machine.model, self._closure_functions
-        map_, sizes = model.displacement_model.function.map, model.displacement_model.dimensions
-        closures, rows, first = [], [], 0
-        for k, (conditions, posture) in enumerate(self._postures):
-            count, values = len(conditions), _values(problem, k, x)
-            theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
-            vectors = ca.DM(model.condition_vectors(conditions).T)
-            displacement = map_("displacements", "serial", count, [0, 1], [])
-            travel = ca.DM((conditions.command - model.geometry.zero).T)
-            given = ca.vertcat(travel, displacement(ca.DM(sizes), theta, vectors))
-            own_joints = joints[:, first : first + count]
-            closures.append(functions.residual.map(count)(own_joints, given))
-            outputs = ca.vec(functions.outputs.map(count)(own_joints, given))
-            rows.append(_rows(model, problem.factors[k], outputs, posture, values))
-            first += count
-        return ca.horzcat(*closures), ca.vertcat(*rows)
-
-    def solve(self, measured: Array, x: Array, joints: Array | None = None) -> NlpResult:
-        """Return IPOPT's fit to the readings.
-
-        Args:
-            measured: all readings ``(n,)``, metres.
-            x: initial values ``(P,)``, SI.
-            joints: initial free joints ``(K, 21)``; the assembled neutral where absent.
-
-        Raises:
-            SolverError: where IPOPT reports a failure.
-        """
-        count = 21 * self.postures
-        angles = np.zeros(count) if joints is None else joints.ravel() / self._angle_unit
-        nuisances = np.zeros(len(self._upper) - len(x) - count)
-        x0 = np.concatenate([x / self._unknown_scale, angles, nuisances])
-        answer = self._solver(x0=x0, p=measured, lbx=-self._upper, ubx=self._upper, lbg=0, ubg=0)
-        stats = self._solver.stats()
+    model, scale = problem.machine.model, initial.single_sd
+    length_unit = float(np.median(problem.sigma))  # of readings, datums and closures
+    angle_unit = length_unit / problem.machine.geometry.L
+    postures = [
+        factor.postures(model, [*problem.elementary_parameters(k)[0], *problem.held[k]])
+        for k, factor in enumerate(problem.factors)
+    ]
+    start = _closed_joints(problem, postures, initial.x)
+    x, z = ca.MX.sym("x", len(scale)), ca.MX.sym("z", nuisance.count)
+    joints = ca.MX.sym("joints", 21, len(start))
+    closure, predicted = _symbolic_model(problem, postures, x * scale, joints * angle_unit)
+    programme = {
+        "x": ca.vertcat(x, ca.vec(joints), z),
+        "f": _cost(problem, nuisance, x * scale, z, predicted),
+        "g": ca.vec(closure) / length_unit,
+    }
+    options = {**_OPTIONS, "expand": len(start) <= _MAX_EXPANDED_POSTURES}
+    solver = ca.nlpsol("identify", "ipopt", programme, options)
+    upper = np.concatenate([problem.bound / scale, np.full(start.size + nuisance.count, np.inf)])
+    x0 = np.concatenate([initial.x / scale, start.ravel() / angle_unit, np.zeros(nuisance.count)])
+    answer = solver(x0=x0, lbx=-upper, ubx=upper, lbg=0, ubg=0)
+    stats = solver.stats()
+    if not stats["success"]:
         status = str(stats["return_status"])
-        closure = float(np.abs(answer["g"].full()).max(initial=0.0)) * self._length_unit
-        if not stats["success"]:
-            raise SolverError(
-                f"the programme did not converge (IPOPT: {status}); check the readings, or free "
-                f"fewer parameters",
-                evidence={"status": status, "closure": closure},
-            )
-        solution = answer["x"].full().ravel()[: len(x)] * self._unknown_scale
-        return NlpResult(solution, closure, int(stats["iter_count"]))
+        closure_residual = float(np.abs(answer["g"].full()).max(initial=0.0)) * length_unit
+        raise SolverError(
+            f"the programme did not converge (IPOPT: {status}); check the readings, or free "
+            f"fewer parameters",
+            evidence={"status": status, "closure": closure_residual},
+        )
+    return answer["x"].full().ravel()[: len(scale)] * scale, int(stats["iter_count"])
 
-    def start_joints(self, problem: Problem, x: Array) -> Array:
-        """Return free joints ``(K, 21)`` with which Pinocchio closes every posture at ``x``."""
-        model, joints = problem.machine.model, []
-        for k, (conditions, _) in enumerate(self._postures):
-            displacements = model.displacements(problem.values(k, x), conditions)
-            for command, row in zip(conditions.command, displacements, strict=True):
-                posture = model.mechanism.close(command, row.reshape(3, 10))
-                joints.append(posture.q[model.mechanism.tree.free])
-        return np.array(joints)
+
+def _closed_joints(problem: Problem, postures: Postures, x: Array) -> Array:
+    """Return free joints ``(K, 21)`` with which Pinocchio closes every posture at ``x``."""
+    model, joints = problem.machine.model, []
+    for k, (conditions, _) in enumerate(postures):
+        displacements = model.displacements(problem.values(k, x), conditions)
+        for command, row in zip(conditions.command, displacements, strict=True):
+            posture = model.mechanism.close(command, row.reshape(3, 10))
+            joints.append(posture.q[model.mechanism.tree.free])
+    return np.array(joints)
+
+
+def _symbolic_model(problem: Problem, postures: Postures, x: Any, joints: Any) -> tuple[Any, Any]:
+    """Return closures of all postures, and predicted rows of all factors, as MX."""
+    model = problem.machine.model
+    functions = closure_functions(model.mechanism.tree)
+    map_, sizes = model.displacement_model.function.map, model.displacement_model.dimensions
+    closures, rows, first = [], [], 0
+    for k, (conditions, posture) in enumerate(postures):
+        count, values = len(conditions), _values(problem, k, x)
+        theta = ca.vertcat(*[values.get(n, ca.MX(0)) for n in model.catalogue.parameters])
+        vectors = ca.DM(model.condition_vectors(conditions).T)
+        displacement = map_("displacements", "serial", count, [0, 1], [])
+        travel = ca.DM((conditions.command - model.geometry.zero).T)
+        given = ca.vertcat(travel, displacement(ca.DM(sizes), theta, vectors))
+        own_joints = joints[:, first : first + count]
+        closures.append(functions.residual.map(count)(own_joints, given))
+        outputs = ca.vec(functions.outputs.map(count)(own_joints, given))
+        rows.append(_rows(model, problem.factors[k], outputs, posture, values))
+        first += count
+    return ca.horzcat(*closures), ca.vertcat(*rows)
+
+
+def _cost(problem: Problem, nuisance: Nuisances, x: Any, z: Any, predicted: Any) -> Any:
+    """Return half the sum of squares of residuals, priors and nuisances, as MX; the nuisances ``z``
+    are in units of their priors, or of the noise.
+    """
+    has_prior = nuisance.precision > 0
+    units = np.full(nuisance.count, float(np.median(problem.sigma)))
+    units[has_prior] = nuisance.precision[has_prior] ** -0.5
+    residual = ca.DM(problem.measured) - predicted - ca.DM(nuisance.columns * units) @ z
+    matrix, target = problem.prior_rows
+    prior = ca.DM(matrix) @ x - ca.DM(target)
+    scaled_nuisances = z * (units * np.sqrt(nuisance.precision))
+    whitened = _whitened(residual, nuisance.weighing)
+    return (ca.sumsqr(whitened) + ca.sumsqr(prior) + ca.sumsqr(scaled_nuisances)) / 2
 
 
 def _whitened(rows: Any, weighing: Weighing) -> Any:

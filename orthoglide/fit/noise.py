@@ -95,21 +95,6 @@ class RowNoise:
         return replace(self, sigma=sigma, weighted=self.weighted & ~rows)
 
 
-@dataclass(frozen=True)
-class NoiseLevel:
-    """Standard deviation of one reading of a kind."""
-
-    total: float  # standard deviation, rounding to `step` counted, metres or radians
-    step: float  # of the instruments that it was found for
-    source: NoiseSource  # where it comes from
-    dof: float = float("inf")  # degrees of freedom behind it; infinite where it was not estimated
-
-    def for_step(self, step: Array) -> Array:
-        """Return the standard deviation of readings of instruments with other steps."""
-        scatter = max(self.total**2 - self.step**2 / 12, 0.0)
-        return np.where(step == self.step, self.total, np.sqrt(scatter + step**2 / 12))
-
-
 @dataclass(frozen=True, repr=False)
 class Noise:
     """Noise of readings in one figure: of dials on legs, where there are any.
@@ -213,49 +198,43 @@ def _noise_of_kind(
     if steps is None:
         steps = [_instrument_steps(table, resolution) for table in tables]
     finest_tables, finest = readings_of_finest_step(tables, steps)
-    level = _noise_level(
-        finest_tables, observation, replace(instrument, resolution=finest), declared
-    )
+    scatter, level_source, dof = _scatter(finest_tables, observation, instrument, finest, declared)
+    is_declared = level_source == "declared"
     # A declared noise may refer to averaged or unrounded readings: rounding is added to it only if
     # the instrument is known to round, and the readings, as far as taken, lie on its grid.
     counted_steps = [
-        step * float(resolution > 0 and step.all() and not _any_off_grid(table.reading, step))
-        for table, step in zip(tables, steps, strict=True)
-    ]
-    is_declared = level.source == "declared"
+        step * float(
+            resolution > 0 and step.all() and not (off_grid(t.reading, step) > GRID_TOLERANCE).any()
+        )
+        for t, step in zip(tables, steps, strict=True)
+    ]  # fmt: skip
     any_repeats = any(len(np.unique(table.stations, axis=0)) < len(table) for table in tables)
     rows = []
     for table, step, counted_step in zip(tables, steps, counted_steps, strict=True):
         has_sigma = np.isfinite(table.sigma) & (declared is None)
         rounding = np.where(has_sigma | is_declared, counted_step, step)
-        total = level.for_step(rounding)
+        total = np.hypot(scatter, rounding / np.sqrt(12))
         common = np.zeros(len(table))
         if any_repeats:
             common = common_rounding(total, rounding)
             common[common**2 < _NEGLIGIBLE_SHARE * total**2] = 0.0
         total = np.where(has_sigma, np.hypot(table.sigma, rounding / np.sqrt(12)), total)
         if common.any():
-            scatter = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
-            widened = _widen_at_rounding_edges(table, scatter, common, rounding)
+            own = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
+            widened = _widen_at_rounding_edges(table, own, common, rounding)
             total = np.where(common > 0, widened, total)
         usual = instrument.repeatability or observation.repeatability
         expected = np.hypot(usual, step / np.sqrt(12))
-        source = np.where(has_sigma, "declared", level.source)
+        source = np.where(has_sigma, "declared", level_source)
         assumed = np.where(source == "repeats", expected, total)
         everywhere = np.ones(len(table), dtype=bool)
         rows.append(RowNoise(total, common, rounding, assumed, source, everywhere))
     sizes, counts = np.unique(np.concatenate(steps), return_counts=True)
     commonest = float(sizes[np.argmax(counts)])
     rounding_counted = not is_declared or any(step.any() for step in counted_steps)
-    typical = float(level.for_step(np.array([commonest * rounding_counted]))[0])
-    declared_level = level.total if is_declared else float("nan")
-    of_kind: NoiseSource = "machine" if level.source == "usual" else level.source
-    return Noise(typical, of_kind, commonest, level.dof, declared_level), rows
-
-
-def _any_off_grid(readings: Array, step: Array) -> bool:
-    """Return whether any readings ``(n,)`` that were taken are no multiples of their steps."""
-    return bool((off_grid(readings, step) > GRID_TOLERANCE).any())
+    typical = float(np.hypot(scatter, commonest * rounding_counted / np.sqrt(12)))
+    of_kind: NoiseSource = "machine" if level_source == "usual" else level_source
+    return Noise(typical, of_kind, commonest, dof, scatter if is_declared else float("nan")), rows
 
 
 def expected_sigma(given: Readings, spec: MachineFile) -> Array:
@@ -320,23 +299,25 @@ def check_noise(noise: float, least: float = NOISE_LIMITS[0]) -> float:
     return noise + 0.0
 
 
-def _noise_level(
-    given: Sequence[Readings], observation: Observation, instrument: Instrument,
+def _scatter(
+    given: Sequence[Readings],
+    observation: Observation,
+    instrument: Instrument,
+    step: float,
     declared: float | None,
-) -> NoiseLevel:  # fmt: skip
-    """Return the noise of one kind of readings, by the order of sources in :func:`noise_of`."""
-    step = instrument.resolution or 0.0
+) -> tuple[float, NoiseSource, float]:
+    """Return the standard deviation of readings of one kind before their rounding to ``step``, its
+    source by the order in :func:`noise_of`, and the degrees of freedom behind it.
+    """
     if declared is not None:
-        return NoiseLevel(check_noise(declared), 0.0, "declared")
+        return check_noise(declared), "declared", np.inf
     declared_sigmas = np.concatenate([table.sigma for table in given])
     if np.isfinite(declared_sigmas).all():
-        return NoiseLevel(float(np.sqrt(np.mean(declared_sigmas**2))), 0.0, "declared")
-    source: NoiseSource = "machine"
-    known = instrument.repeatability
-    if known is None:
-        variance, dof = repeat_variance(given)
-        if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
-            total = float(np.sqrt(total_variance(variance, step)))
-            return NoiseLevel(max(total, observation.least_noise), step, "repeats", dof)
-        known, source = observation.repeatability, "usual"
-    return NoiseLevel(float(np.sqrt(known**2 + step**2 / 12)), step, source)
+        return float(np.sqrt(np.mean(declared_sigmas**2))), "declared", np.inf
+    if instrument.repeatability is not None:
+        return instrument.repeatability, "machine", np.inf
+    variance, dof = repeat_variance(given)
+    if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
+        total = max(float(total_variance(variance, step)), observation.least_noise**2)
+        return float(np.sqrt(max(total - step**2 / 12, 0.0))), "repeats", dof
+    return observation.repeatability, "usual", np.inf

@@ -11,7 +11,7 @@ from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
 from orthoglide.fit.problem import CERTAIN_SIGMAS, Problem
-from orthoglide.fit.repeats import GRID_TOLERANCE, MAX_NOISE_RATIO, off_grid
+from orthoglide.fit.repeats import MAX_NOISE_RATIO
 from orthoglide.instruments import PRINTED, SHRINKAGE_BY_MATERIAL
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, with_sigma
@@ -27,8 +27,6 @@ _CHANCE = 1e-3  # probability of an outlier note on a campaign of sound readings
 _NEARLY_MAX = 0.999  # share of the largest noise that roughness may count as
 _MAX_LINES_NAMED = 8
 _MIN_DOF = 1.0  # degrees of freedom below which the model is not tested
-_MIN_READINGS = 8  # different readings: by chance one in eight is a multiple of the step
-_ON_STEP_SHARE = 0.9  # share of a setup's readings on multiples of the step that shows the step
 _TURN_PLATE_ADVICE = (
     ", and all once more with the plate turned by 60 degrees (turned_deg): what turns with it is "
     "its own, what does not comes of the machine"
@@ -132,11 +130,6 @@ def step_notes(problem: Problem) -> Iterator[Note]:
                 f"[dial_mm] in the machine file",
                 "step",
             )
-        values = [
-            np.unique(campaign.reading[factor.setup == k]) for k in range(len(campaign.setups))
-        ]
-        on_step = np.array([np.mean(off_grid(v, declared) < GRID_TOLERANCE) for v in values])
-        most_on_step = np.mean(on_step > _ON_STEP_SHARE) > 0.5
         for k, setup in enumerate(campaign.setups):
             setup_step = float(step[factor.setup == k].max(initial=0.0))
             if setup_step > finest:
@@ -145,13 +138,6 @@ def step_notes(problem: Problem) -> Iterator[Note]:
                     f"{setup_step * 1e3:g} mm, those of others of {finest * 1e3:g} mm: this is "
                     f"taken for the step of this setup's dial; read it to its last digit, or look "
                     f"whether these readings are in another unit",
-                    "step",
-                )
-            elif most_on_step and on_step[k] < 0.5 and len(values[k]) >= _MIN_READINGS:
-                yield Note(
-                    f"{file}, setup {setup.name!r}: the readings are no multiples of the dial's "
-                    f"step of {declared * 1e3:g} mm, and those of other setups are: look whether "
-                    f"this dial shows inches; give its readings in millimetres",
                     "step",
                 )
 

@@ -47,11 +47,9 @@ def dial_steps(campaign: Readings, resolution: float) -> Array:
 
     Args:
         campaign: the readings.
-        resolution: of the machine's dial, metres; 0 where it does not round.
+        resolution: of the machine's dial, metres.
     """
-    steps = np.full(len(campaign), resolution)
-    if resolution <= 0:
-        return steps
+    steps = np.empty(len(campaign))
     setups = [campaign.setup == k for k in range(len(campaign.setups))]
     differences = [_datum_differences(campaign.reading[rows]) for rows in setups]
     common = _coarser_step(np.concatenate(differences), resolution)

@@ -13,7 +13,6 @@ from orthoglide.fit.least_squares import (
     NormalEquations,
     Nuisances,
     fitted_basis,
-    normal_equations,
     project_out,
 )
 from orthoglide.fit.problem import Problem
@@ -88,10 +87,9 @@ class FittedRows:
         return smaller_p_value(p_of_means, p_of_readings)
 
 
-def score(rows: FittedRows, linear: Linearised) -> Scores:
-    """Return the scores of a fit, from its linearisation."""
+def score(rows: FittedRows, equations: NormalEquations) -> Scores:
+    """Return the scores of a fit."""
     problem, residual = rows.problem, rows.residual
-    equations = normal_equations(problem, linear, rows.nuisance)
     # The trace of the hat matrix is the number of unknowns that the data determine.
     determined = rows.nuisance.unconstrained_count + float(np.sum(equations.hat_eigenvalues))
     dof = round(max(len(residual) - determined, 0.0), 6)  # further digits are rounding
@@ -103,7 +101,7 @@ def score(rows: FittedRows, linear: Linearised) -> Scores:
         deviation_rms=deviation_rms(problem, residual),
         max=float(magnitude[~angular].max()) if not angular.all() else float("nan"),
         chi2=equations.chi2,
-        prior_chi2=equations.prior_chi2(linear.x),
+        prior_chi2=equations.prior_chi2(equations.x),
         dof=dof,
         lack_of_fit_p=rows.lack_of_fit(equations),
         cv_rms=left_out.length,

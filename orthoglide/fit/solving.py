@@ -7,17 +7,11 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orthoglide.errors import (
-    ClosureError,
-    InputError,
-    NumericsError,
-    SolverError,
-    UnidentifiableError,
-)
-from orthoglide.fit.crosscheck import CrossCheck, cross_check, reduction_fit
+from orthoglide.errors import InputError, NumericsError, SolverError, UnidentifiableError
+from orthoglide.fit.crosscheck import CrossCheck, by_reduction, cross_check
 from orthoglide.fit.estimate import Estimate
+from orthoglide.fit.gauss_newton import solve_nested
 from orthoglide.fit.least_squares import (
     Linearised,
     NormalEquations,
@@ -26,7 +20,6 @@ from orthoglide.fit.least_squares import (
     linearise,
     normal_equations,
     nuisances,
-    predict,
     update_instrument_poses,
     weak_directions,
 )
@@ -207,13 +200,12 @@ def _run_method(
         start: one Gauss-Newton step further.
         method: as requested.
     """
-    if method == "reduction":
-        x, iterations = _solve_by_reduction(problem, nuisance)
-        return linearise(problem, x), iterations, "reduction"
-    if method == "pinocchio":
-        reference = replace(problem, machine=problem.machine.by_pinocchio())
-        linear, steps = solve_nested(reference, nuisance, linearise(reference, start.x))
-        return linearise(problem, linear.x), steps + 1, "pinocchio"
+    if method in ("reduction", "pinocchio"):
+        by_method = replace(problem, machine=problem.machine.by_pinocchio())
+        if method == "reduction":
+            by_method = by_reduction(problem)
+        linear, steps = solve_nested(by_method, nuisance, linearise(by_method, start.x))
+        return linearise(problem, linear.x), steps + 1, method
     elastic = problem.elastic
     if elastic and method == "nlp":
         raise InputError("the programme closes unloaded loops: take the nested method under load")
@@ -224,27 +216,10 @@ def _run_method(
     if method == "nested" or (method == "auto" and unsuited):
         linear, steps = solve_nested(problem, nuisance, start)
         return linear, steps + 1, "nested"
-    from orthoglide.fit.nlp import Nlp
+    from orthoglide.fit.nlp import solve_programme
 
-    programme = Nlp(problem, nuisance, 1 / np.sqrt(np.diag(initial.information)))
-    joints = programme.start_joints(problem, initial.x)
-    result = programme.solve(problem.measured, initial.x, joints)
-    return linearise(problem, result.x), result.iterations, "nlp"
-
-
-def _solve_by_reduction(problem: Problem, nuisance: Nuisances) -> tuple[Array, int]:
-    """Return the reduction's fit and its iterations; unknowns that leave their bounds are held
-    there, and the others are fitted again.
-    """
-    x, iterations = problem.start, 0
-    held = np.zeros(len(x), dtype=bool)
-    while True:
-        fit = reduction_fit(problem, nuisance, start=x, held=held)
-        x, iterations = fit.values[:-1], iterations + fit.iterations
-        beyond = np.abs(x) > problem.bound
-        if not beyond.any():
-            return x, iterations
-        x, held = np.clip(x, -problem.bound, problem.bound), held | beyond
+    x, iterations = solve_programme(problem, nuisance, initial)
+    return linearise(problem, x), iterations, "nlp"
 
 
 def _check_solution(
@@ -261,10 +236,9 @@ def _check_solution(
             "the solver ended with a worse fit than it started from",
             evidence={"chi2": equations.cost, "chi2_start": initial.cost},
         )
-    inside = np.abs(linear.x) < problem.bound * (1 - 1e-6)
     # In sigmas of each unknown alone, so that weak directions do not count.
-    scale = 1 / np.sqrt(np.maximum(np.diag(equations.information), 1e-300))
-    optimality = float(np.abs(equations.gradient * scale)[inside].max(initial=0.0))
+    step = np.abs(equations.gradient * equations.single_sd)
+    optimality = float(step[~problem.on_bound(linear.x)].max(initial=0.0))
     if optimality > _OPTIMALITY_TOLERANCE * max(1.0, float(np.sqrt(equations.cost))):
         raise SolverError(
             f"the solver stopped {optimality:.2g} sigmas before the minimum; check the readings",
@@ -285,7 +259,7 @@ def make_estimate(
     """Return the estimate at a solution, with scores, covariance and warnings."""
     equations = normal_equations(problem, linear, nuisance)
     rows = FittedRows.from_fit(problem, nuisance, linear)
-    scores = score(rows, linear)
+    scores = score(rows, equations)
     scale = 1.0
     if scores.dof > 0 and scores.lack_of_fit_p < LACK_OF_FIT:
         scale = max(float(np.sqrt(scores.chi2 / scores.dof)), 1.0)
@@ -297,95 +271,3 @@ def make_estimate(
         (), linear, nuisance, rows,
     )  # fmt: skip
     return replace(estimate, warnings=notes(estimate))
-
-
-# Nested closures ------------------------------------------------------------------------------
-
-_MAX_STEPS = 60
-# Steps, in standard deviations of each unknown alone: the printed digits must not depend on the
-# start.
-_STEP_TOLERANCE = 1e-10
-_NEWTON_THRESHOLD = 1e-7  # steps below which second derivatives are not worth their time
-_ROUNDING_STEP = 1e-4  # smaller steps that stop shrinking are rounding; times the misfit
-_COST_TOLERANCE = 1e-9  # of the cost: smaller changes, by weak directions too, are rounding
-_SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
-
-
-def solve_nested(
-    problem: Problem, nuisance: Nuisances, start: Linearised
-) -> tuple[Linearised, int]:
-    """Return the linearisation at the minimum of the cost, and the number of steps from ``start``.
-
-    Every step closes all postures and takes the derivatives of the readings from the constraint
-    Jacobians, so that time and memory grow linearly with the number of postures.
-
-    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
-    along weak directions the curvature of the model outweighs the readings.
-
-    Raises:
-        SolverError: where the steps do not converge.
-    """
-    linear, previous, cost = start, np.inf, np.inf
-    for iteration in range(_MAX_STEPS):
-        equations = normal_equations(problem, linear, nuisance)
-        # An unknown that the gradient pushes against its bound stays there.
-        free = np.flatnonzero(~(problem.on_bound(linear.x) & (equations.gradient * linear.x < 0)))
-        scale = 1 / np.sqrt(np.maximum(np.diag(equations.information), 1e-300))[free]
-        descent = -equations.gradient[free] * scale
-        slope = float(np.max(np.abs(descent), initial=0.0))
-        step = np.zeros(len(linear.x))
-        information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
-        step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
-        size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
-        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
-            step[free] = _newton_step(problem, nuisance, equations, free, scale)
-            size = float(np.max(np.abs(step[free]) / scale))
-        misfit = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
-        flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
-        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
-        if size <= _STEP_TOLERANCE or stalled:
-            return linear, iteration
-        linear = linearise(problem, _line_search(problem, nuisance, equations, step))
-        previous, cost = size, equations.cost
-    raise SolverError(
-        "the identification did not settle; free fewer parameters, or keep the priors",
-        evidence={"last_step_in_sigmas": size},
-    )
-
-
-def _newton_step(
-    problem: Problem, nuisance: Nuisances, equations: NormalEquations, free: NDArray[np.intp],
-    scale: Array,
-) -> Array:  # fmt: skip
-    """Return a Newton step of the ``free`` unknowns, its Hessian from differenced gradients."""
-    hessian = np.empty((len(free), len(free)))
-    for column, k in enumerate(free):
-        # Small against the curvature of the machine, large against rounding.
-        width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
-        ends = []
-        for side in (1, -1):
-            x = equations.x.copy()
-            x[k] += side * width
-            ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
-        hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
-    hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
-    values, vectors = np.linalg.eigh(hessian)
-    # Absolute value and floor keep the step a descent where the cost is not convex.
-    rotated = vectors.T @ (-equations.gradient[free] * scale)
-    return scale * (vectors @ (rotated / np.maximum(np.abs(values), 1e-8)))
-
-
-def _line_search(
-    problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
-) -> Array:
-    """Return the unknowns, within their bounds, after a step halved until the cost falls."""
-    allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
-    factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
-    for _ in range(30):
-        x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
-        with suppress(ClosureError):
-            residual = nuisance.project(problem.measured - predict(problem, x))
-            if float(residual @ residual) + equations.prior_chi2(x) <= allowed:
-                return x
-        factor /= 2
-    return np.asarray(np.clip(equations.x + factor * step, -problem.bound, problem.bound))

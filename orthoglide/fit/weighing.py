@@ -66,18 +66,6 @@ class Weighing:
         order, starts = self._sorted
         return order[starts]
 
-    @cached_property
-    def mean_sigma(self) -> Array:
-        """Standard deviation of each station's mean ``(stations,)``, metres."""
-        variance = 1 / np.bincount(self.station, self.weight**2)
-        return np.sqrt(variance + self.common[self.first_rows] ** 2)
-
-    def means(self, rows: Array) -> Array:
-        """Mean of rows ``(n, ...)`` over each station ``(stations, ...)``, by their weights."""
-        order, starts = self._sorted
-        share = self.weight**2 / np.bincount(self.station, self.weight**2)[self.station]
-        return np.add.reduceat((rows.T * share).T[order], starts, axis=0)
-
     def _scaled(self, rows: Array, factor: Array) -> Array:
         """Rows with their part along each station's direction multiplied by ``factor (n,)``."""
         if not self.common.any():

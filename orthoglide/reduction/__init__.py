@@ -1,13 +1,12 @@
 """The analytic reduction: three drives, three bars, one point (Pashkevich et al. 2006, 2008).
 
 ``forward`` and ``inverse`` are the quadratic and eq. (3), ``jacobians`` eq. (5); ``system11``,
-``covariance`` and ``solve`` the papers' linear calibration; ``predict_readings`` and
-``fit_readings`` the nonlinear one; ``intersect_spheres`` the general form, with carriages anywhere.
+``covariance`` and ``solve`` the papers' linear calibration; ``predict_readings`` the readings of
+any dials; ``intersect_spheres`` the general form, with carriages anywhere.
 The derivation is independent of the general mechanism.
 """
 
 from orthoglide.reduction.deviations import predict_readings as predict_readings
-from orthoglide.reduction.fit import ReadingFit as ReadingFit, fit_readings as fit_readings
 from orthoglide.reduction.kinematics import (
     NOMINAL as NOMINAL,
     forward as forward,
@@ -21,7 +20,6 @@ from orthoglide.reduction.linear import (
     LinearSystem as LinearSystem,
     coefficients as coefficients,
     covariance as covariance,
-    leg_deviations as leg_deviations,
     reduced_system as reduced_system,
     solve as solve,
     stroke_angles as stroke_angles,

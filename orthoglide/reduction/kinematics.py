@@ -11,14 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, NumericsError, UnreachableError, check_choice
-from orthoglide.geometry import LEGS, Array, Geometry, Mode
-from orthoglide.reduction.spheres import (
-    DEGENERATE,
-    TOUCH_TOLERANCE,
-    batch_position,
-    unreachable_error,
-)
+from orthoglide.errors import InputError, NumericsError, check_choice
+from orthoglide.geometry import Array, Geometry, Mode
+from orthoglide.reduction.spheres import DEGENERATE, TOUCH_TOLERANCE, unreachable_error
 
 NOMINAL = Geometry()
 """The prototype's dimensions, the default of every function here."""
@@ -70,30 +65,14 @@ def inverse(
     squares = tcp * tcp
     across = squares[..., [1, 2, 0]] + squares[..., [2, 0, 1]]
     reach = bars * bars - across
-    if not np.all(reach >= 0):
-        raise out_of_reach(np.sqrt(across) - bars)
+    if not np.isfinite(reach).all():
+        raise InputError("the poses and lengths are not finite: give numbers in metres")
+    if (missed := np.asarray(reach.min(axis=-1) < 0)).any():
+        raise unreachable_error(missed)
     own_axis = np.sqrt(reach)
     if np.any(np.abs(configuration := vectors(signs, "signs")) != 1):
         raise InputError("signs are +1 or -1, one a leg")
     return np.asarray(tcp + configuration * own_axis - vectors(offsets, "offsets"))
-
-
-def out_of_reach(excess: Array) -> Exception:
-    """Return the error of poses out of reach by ``excess`` ``(..., 3)``, metres, if positive."""
-    failed = ~(excess <= 0).all(axis=-1)
-    index = tuple(int(i) for i in np.argwhere(failed)[0])
-    leg = int(np.argmax(excess[index]))
-    amount = float(excess[index][leg])
-    place = batch_position(index, int(failed.sum()))
-    if not np.isfinite(excess[index]).all():
-        return InputError(f"the pose{place} is not finite: give numbers in metres")
-    return UnreachableError(
-        f"the pose{place} is out of reach of leg {LEGS[leg]} by {amount * 1e3:.4g} mm; "
-        "bring the TCP nearer to that leg's axis",
-        leg=LEGS[leg],
-        excess=amount,
-        index=index,
-    )
 
 
 def forward(
@@ -125,96 +104,47 @@ def forward(
         InputError: for a carriage at the origin (``intersect_spheres`` can do that), or for
             values that are not finite.
     """
-    commands, shifts = vectors(rho, "rho"), vectors(offsets, "offsets")
-    return intersect_legs(commands, shifts, geometry.L + vectors(lengths, "lengths"), mode)
-
-
-def intersect_legs(rho: Array, offsets: Array, bars: Array, mode: Mode = "machine") -> Array:
-    """Return the TCP as :func:`forward`, from arrays ``(..., 3)`` with full bar lengths."""
     check_choice("assembly mode", mode, ("machine", "other"))
-    shape = np.broadcast_shapes(rho.shape, offsets.shape, bars.shape)
-    flat = [_rows(array, shape) for array in (rho, offsets, bars)]
-    count = int(np.prod(shape[:-1], dtype=int))
-    p = np.empty((count, 3))
-    missed: list[int] = []
-    for start in range(0, count, _BLOCK):
-        block = slice(start, min(start + _BLOCK, count))
-        a, b, c = (array.T if len(array) == 1 else array[block].T for array in flat)
-        missed += [start + k for k in _solve_block(a, b, c, mode, p[block].T)]
-    if missed:
-        carriages, lengths = (np.broadcast_to(x, p.shape) for x in (flat[0] + flat[1], flat[2]))
-        index = tuple(int(i) for i in np.unravel_index(missed[0], shape[:-1] or (1,)))
-        place = index if shape[:-1] else ()
-        raise _unreachable_error(carriages[missed[0]], lengths[missed[0]], place, len(missed))
+    arrays = vectors(rho, "rho"), vectors(offsets, "offsets"), vectors(lengths, "lengths")
+    shape = np.broadcast_shapes(*(array.shape for array in arrays))
+    p = np.empty(shape).reshape(-1, 3)
+    # A single vector stays one; others are rows.
+    rows = [a if a.ndim == 1 else np.broadcast_to(a, shape).reshape(-1, 3) for a in arrays]
+    by_axis = [np.broadcast_to(array, p.shape).T for array in rows]
+    for start in range(0, len(p), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        commands, shifts, changes = (array[:, block] for array in by_axis)
+        carriage = np.add(commands, shifts, order="C")
+        p[block] = _intersection(carriage, geometry.L + changes, mode).T
+    if np.isnan(p).any():
+        carriages = arrays[0] + arrays[1]
+        if not np.isfinite(carriages + arrays[2]).all():
+            raise InputError("the commands and lengths are not finite: give numbers in metres")
+        if (carriages == 0).any():
+            raise InputError(
+                "a carriage stands at the origin, where the quadratic has no coefficients: use "
+                "intersect_spheres"
+            )
+        raise unreachable_error(np.isnan(p[:, 0]).reshape(shape[:-1]))
     return p.reshape(shape)
 
 
-def _rows(array: Array, shape: tuple[int, ...]) -> Array:
-    """Return an array as ``(1, 3)`` where it is a single vector, else as ``(N, 3)``."""
-    if array.size == 3:
-        return array.reshape(1, 3)
-    return np.broadcast_to(array, shape).reshape(-1, 3)
-
-
-def _solve_block(rho: Array, offsets: Array, bars: Array, mode: Mode, p: Array) -> list[int]:
-    """Fill p ``(3, n)`` and return the poses that do not meet. Rows are axes, for contiguity."""
-    carriage = np.add(rho, offsets, order="C")
+def _intersection(carriage: Array, bars: Array, mode: Mode) -> Array:
+    """Return the TCP ``(3, n)`` for carriages and bar lengths ``(3, n)``; nan where the legs do not
+    meet. Rows are axes, for contiguity.
+    """
     with np.errstate(all="ignore"):
-        inverse_r = np.divide(0.5, carriage)  # 1 / (2 R)
-        share = np.subtract(carriage, bars, order="C")
-        share *= carriage + bars  # 2 k, without cancellation near zero
-        share *= inverse_r  # k / R
-        inverse_r += inverse_r
+        inverse_r = 1.0 / carriage
+        share = (carriage - bars) * (carriage + bars) * inverse_r / 2  # k / R, without cancellation
         half_b = 1.0 - np.einsum("ij,ij->j", share, inverse_r)
         constant = np.einsum("ij,ij->j", share, share)
         leading = np.einsum("ij,ij->j", inverse_r, inverse_r)
         square = half_b * half_b
         root = square - leading * constant
-        if not root.min(initial=0.0) >= 0:
-            missed = np.flatnonzero(~(root >= -TOUCH_TOLERANCE * square))
-            if missed.size:
-                return missed.tolist()
-            np.maximum(root, 0.0, out=root)
-        np.sqrt(root, out=root)
-        root += half_b
-        t = np.divide(constant, root) if mode == "machine" else np.divide(root, leading)
-    inverse_r *= t
-    np.add(share, inverse_r, out=p)
-    return []
-
-
-def _unreachable_error(
-    carriage: Array, bars: Array, index: tuple[int, ...], total: int
-) -> InputError:
-    """Return the error of the first pose that fails, one of ``total``."""
-    place = batch_position(index, total)
-    if not np.isfinite(carriage + bars).all():
-        return InputError(f"the command{place} is not finite: give numbers in metres")
-    if np.any(carriage == 0):
-        leg = LEGS[int(np.argmax(carriage == 0))]
-        return InputError(
-            f"carriage {leg} stands at the origin{place}, where the quadratic has no "
-            "coefficients: use intersect_spheres"
-        )
-    return unreachable_error(np.diag(carriage), bars, index, total)
-
-
-def row_inverse(p: Array, carriage: Array) -> Array:
-    """Return the inverse ``(..., 3, 3)`` of the matrix ``1 p^T - diag(R)`` of section 2.4.
-
-    ``1 - sum p_i / R_i`` is a distance of the TCP from the plane of the carriages.
-    """
-    u = 1.0 / carriage
-    scaled = p * u
-    distance = 1.0 - scaled.sum(axis=-1)
-    if np.any(np.abs(distance) < DEGENERATE):
-        raise NumericsError(
-            "the TCP lies in the plane of the carriages: stay off singular postures"
-        )
-    matrix = u[..., :, None] * (scaled / -distance[..., None])[..., None, :]
-    diagonal = np.einsum("...ii->...i", matrix)
-    diagonal -= u
-    return np.asarray(matrix)
+        root[np.abs(root) <= TOUCH_TOLERANCE * square] = 0.0
+        root = half_b + np.sqrt(root)
+        t = constant / root if mode == "machine" else root / leading
+        return np.asarray(share + t * inverse_r)
 
 
 def jacobians(
@@ -235,8 +165,16 @@ def jacobians(
     Raises:
         NumericsError: at a singular posture, where the TCP lies in the plane of the carriages.
     """
-    tcp = vectors(p, "p")
+    tcp, bars = vectors(p, "p"), geometry.L + vectors(lengths, "lengths")
     carriage = vectors(rho, "rho") + vectors(offsets, "offsets")
-    bars = geometry.L + vectors(lengths, "lengths")
-    matrix = row_inverse(tcp, carriage)
-    return Jacobians(matrix * (tcp - carriage)[..., None, :], matrix * bars[..., None, :])
+    inverse_r = 1.0 / carriage
+    scaled = tcp * inverse_r
+    distance = 1.0 - scaled.sum(axis=-1)  # of the TCP from the plane of the carriages
+    if np.any(np.abs(distance) < DEGENERATE):
+        raise NumericsError(
+            "the TCP lies in the plane of the carriages: stay off singular postures"
+        )
+    # The inverse of M is a matrix of rank one less 1 / R on its diagonal.
+    inverse = inverse_r[..., :, None] * (scaled / -distance[..., None])[..., None, :]
+    np.einsum("...ii->...i", inverse)[...] -= inverse_r
+    return Jacobians(inverse * (tcp - carriage)[..., None, :], inverse * bars[..., None, :])

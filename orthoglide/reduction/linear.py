@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
-from orthoglide.reduction.kinematics import NOMINAL, vectors
+from orthoglide.reduction.kinematics import NOMINAL
 
 COLUMNS: tuple[str, ...] = tuple(f"{kind}.{leg}" for kind in ("offset", "length") for leg in LEGS)
 """Names of the six parameters, in the order of every vector of six here."""
@@ -94,29 +94,12 @@ def coefficients(angle: ArrayLike) -> tuple[Array, Array, Array]:
     return sine, (0.5 + sine) * sine / cosine, (0.5 + sine) / cosine - 0.5
 
 
-def leg_deviations(angle: ArrayLike, offsets: ArrayLike = 0.0, lengths: ArrayLike = 0.0) -> Array:
-    """Deviation of leg i along j: ``b (offset_i - length_i) + a offset_j - c length_j`` (3.2).
-
-    Args:
-        angle: alpha of the posture on leg i's axis ``(...)``, radians.
-        offsets: joint offsets ``(..., 3)``.
-        lengths: leg lengths minus L ``(..., 3)``.
-
-    Returns:
-        ``(..., 3, 3)``, indices (leg, direction), in the unit of the parameters, linearised; the
-        diagonal is zero: a dial reads across its leg.
-    """
-    a, b, c = (np.asarray(x)[..., None] for x in coefficients(angle))
-    off, length = vectors(offsets, "offsets"), vectors(lengths, "lengths")
-    own_share, direction_share = b * (off - length), a * off - c * length
-    table = own_share[..., :, None] + direction_share[..., None, :]
-    return np.asarray(table * (1.0 - np.eye(3)))
-
-
 def system11(
     geometry: Geometry = NOMINAL, *, angles: tuple[float, float] | None = None
 ) -> LinearSystem:
     """System (11) of 2008: twelve deviations, six parameters, in the printed order of rows.
+
+    Leg i deviates along j by ``b (offset_i - length_i) + a offset_j - c length_j`` (section 3.2).
 
     Args:
         geometry: nominal dimensions; the stroke gives the angles.
@@ -125,15 +108,15 @@ def system11(
     Returns:
         The 12 x 6 system with the noise of eq. (14), gauges at the middle of the legs.
     """
-    # Deviations of each parameter alone, the parameter first: (6, leg, direction) at each end.
-    unit, ends = np.eye(6), angles or stroke_angles(geometry)
-    tables = [leg_deviations(angle, unit[:, :3], unit[:, 3:]) for angle in ends]
     matrix, rows = [], []
-    for first, second in _BLOCKS:
-        for table, sign in zip(tables, "+-", strict=True):
-            for direction, leg in ((first, second), (second, first)):
-                matrix.append(table[:, leg, direction])
-                rows.append(f"{LEGS[direction]}_{LEGS[leg]}{sign}")
+    for pair in _BLOCKS:
+        for angle, sign in zip(angles or stroke_angles(geometry), "+-", strict=True):
+            a, b, c = coefficients(angle)
+            for j, i in (pair, pair[::-1]):
+                row = np.zeros(6)
+                row[[i, 3 + i, j, 3 + j]] = b, -b, a, -c
+                matrix.append(row)
+                rows.append(f"{LEGS[j]}_{LEGS[i]}{sign}")
     noise = np.asarray(np.kron(np.eye(3), G), dtype=np.float64)
     return LinearSystem(np.array(matrix), tuple(rows), COLUMNS, noise)
 

@@ -1,0 +1,109 @@
+"""Gauss-Newton on the unknowns, with the closures solved within each step."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orthoglide.errors import NumericsError, SolverError, UnreachableError
+from orthoglide.fit.least_squares import (
+    Linearised,
+    NormalEquations,
+    Nuisances,
+    linearise,
+    normal_equations,
+    predict,
+)
+from orthoglide.fit.problem import Problem
+from orthoglide.geometry import Array
+
+_MAX_STEPS = 60
+# Steps, in standard deviations of each unknown alone: the printed digits must not depend on the
+# start.
+_STEP_TOLERANCE = 1e-10
+_NEWTON_THRESHOLD = 1e-7  # steps below which second derivatives are not worth their time
+_ROUNDING_STEP = 1e-4  # smaller steps that stop shrinking are rounding; times the misfit
+_COST_TOLERANCE = 1e-9  # of the cost: smaller changes, by weak directions too, are rounding
+_SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
+
+
+def solve_nested(
+    problem: Problem, nuisance: Nuisances, start: Linearised
+) -> tuple[Linearised, int]:
+    """Return the linearisation at the minimum of the cost, and the number of steps from ``start``.
+
+    Every step closes all postures and takes the derivatives of the readings from the constraint
+    Jacobians, so that time and memory grow linearly with the number of postures.
+
+    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
+    along weak directions the curvature of the model outweighs the readings.
+
+    Raises:
+        SolverError: where the steps do not converge.
+    """
+    linear, previous, cost = start, np.inf, np.inf
+    for iteration in range(_MAX_STEPS):
+        equations = normal_equations(problem, linear, nuisance)
+        # An unknown that the gradient pushes against its bound stays there.
+        free = np.flatnonzero(~(problem.on_bound(linear.x) & (equations.gradient * linear.x < 0)))
+        scale = equations.single_sd[free]
+        descent = -equations.gradient[free] * scale
+        slope = float(np.max(np.abs(descent), initial=0.0))
+        step = np.zeros(len(linear.x))
+        information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
+        step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
+        size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
+        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
+            step[free] = _newton_step(problem, nuisance, equations, free, scale)
+            size = float(np.max(np.abs(step[free]) / scale))
+        misfit = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
+        flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
+        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
+        if size <= _STEP_TOLERANCE or stalled:
+            return linear, iteration
+        linear = linearise(problem, _line_search(problem, nuisance, equations, step))
+        previous, cost = size, equations.cost
+    raise SolverError(
+        "the identification did not settle; free fewer parameters, or keep the priors",
+        evidence={"last_step_in_sigmas": size},
+    )
+
+
+def _newton_step(
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, free: NDArray[np.intp],
+    scale: Array,
+) -> Array:  # fmt: skip
+    """Return a Newton step of the ``free`` unknowns, its Hessian from differenced gradients."""
+    hessian = np.empty((len(free), len(free)))
+    for column, k in enumerate(free):
+        # Small against the curvature of the machine, large against rounding.
+        width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
+        ends = []
+        for side in (1, -1):
+            x = equations.x.copy()
+            x[k] += side * width
+            ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
+        hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
+    hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
+    values, vectors = np.linalg.eigh(hessian)
+    # Absolute value and floor keep the step a descent where the cost is not convex.
+    rotated = vectors.T @ (-equations.gradient[free] * scale)
+    return scale * (vectors @ (rotated / np.maximum(np.abs(values), 1e-8)))
+
+
+def _line_search(
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
+) -> Array:
+    """Return the unknowns, within their bounds, after a step halved until the cost falls."""
+    allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
+    factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
+    for _ in range(30):
+        x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
+        with suppress(NumericsError, UnreachableError):
+            residual = nuisance.project(problem.measured - predict(problem, x))
+            if float(residual @ residual) + equations.prior_chi2(x) <= allowed:
+                return x
+        factor /= 2
+    return np.asarray(np.clip(equations.x + factor * step, -problem.bound, problem.bound))
