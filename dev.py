@@ -115,15 +115,13 @@ def check(rest: list[str]) -> int:
 
 
 def bench(rest: list[str]) -> int:
-    """Run the benchmarks of speed, or the one named: bench closure."""
+    """Run the benchmark of speed, or the one named: bench scale."""
     environment("test", "engines")
-    names = rest[:1] or ["closure", "identify"]
-    paths = [ROOT / "benchmarks" / f"{Path(name).stem}.py" for name in names]
-    for path in paths:
-        if not path.is_file():
-            known = ", ".join(sorted(p.stem for p in path.parent.glob("*.py")))
-            raise SystemExit(f"there is no benchmark {path.stem}: it is one of {known}")
-    return max(python(str(path), *rest[1:]) for path in paths)
+    path = ROOT / "benchmarks" / f"{Path((rest or ['closure'])[0]).stem}.py"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.py")))
+        raise SystemExit(f"there is no benchmark {path.stem}: it is one of {known}")
+    return python(str(path), *rest[1:])
 
 
 def mutate(rest: list[str]) -> int:

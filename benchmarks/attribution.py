@@ -15,22 +15,12 @@ the nearest other class. Its own class are the effects within 2 sigma, which nob
 apart.
 """
 
-# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 from __future__ import annotations
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-import argparse
-import json
-import multiprocessing
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from zlib import crc32
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -45,65 +35,10 @@ from benchmarks.attribution_asked import (
     well,
     wrongly_explained,
 )  # fmt: skip
-from benchmarks.attribution_cases import BACKGROUND, SHARES, SHORT, Case, cases
-from benchmarks.attribution_former import former
-from benchmarks.attribution_run import Record, run
+from benchmarks.attribution_cases import BACKGROUND, SHARES, SHORT, cases
+from benchmarks.attribution_run import run
 from benchmarks.attribution_table import tables
-
-
-def known(cache: Path | None, seed: int, background: float) -> dict[str, Record]:
-    """Records of an earlier run by key."""
-    if cache is None or not cache.exists():
-        return {}
-    found = {}
-    for line in cache.read_text(encoding="utf-8").splitlines():
-        try:
-            record = json.loads(line)
-        except json.JSONDecodeError:  # killed while writing
-            continue
-        if (record["seed"], record["share"]) == (seed, background):
-            found[record["key"]] = record
-    return found
-
-
-def records(
-    wanted: Sequence[Case], seed: int, background: float, workers: int, cache: Path | None
-) -> Iterator[Record]:
-    """Records of the cases that are not in the cache, as they end; kept in the cache."""
-    before = known(cache, seed, background)
-    # In no order of kinds, so that what is there after a while is a fair part of the whole.
-    missing = [c for c in wanted if c.key not in before]
-    missing.sort(key=lambda c: crc32(c.key.encode()))
-    yield from (before[c.key] for c in wanted if c.key in before)
-    file = cache.open("a", encoding="utf-8") if cache else None
-    with multiprocessing.get_context("fork").Pool(workers) as pool:
-        for record in pool.imap_unordered(partial(run, seed=seed, background=background), missing):
-            if file:
-                file.write(json.dumps(record) + "\n")
-                file.flush()
-            yield record
-    if file:
-        file.close()
-
-
-def collect(wanted: Sequence[Case], options: argparse.Namespace) -> list[Record]:
-    """All records in the order of the cases, under a progress bar."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    bar = Progress(
-        "campaigns", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), disable=options.quiet,
-    )  # fmt: skip
-    with bar:
-        found = {
-            r["key"]: r
-            for r in bar.track(
-                records(wanted, options.seed, options.background, options.workers, options.cache),
-                total=len(wanted),
-            )
-        }
-    return [found[c.key] for c in wanted]
+from benchmarks.runs import Record, arguments, records, show
 
 
 def failures(found: Sequence[Record]) -> list[str]:
@@ -153,27 +88,18 @@ def _told(r: Record) -> str:
     return f"truth {truth or '-'}; {said}; {chi2}; {left}; {r['stopped']}"
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--campaigns", type=int, default=sum(SHARES.values()))
+def main() -> None:
+    parser = arguments(__doc__, campaigns=sum(SHARES.values()), short=45)
     parser.add_argument("--background", type=float, default=BACKGROUND)
-    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=(*SHARES, *SHORT), default="")
-    parser.add_argument("--short", type=int, default=45, help="of bumps, and of short waves")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
-    parser.add_argument("--markdown", action="store_true")
     parser.add_argument("--failures", action="store_true", help="list what went wrong")
-    parser.add_argument("--quiet", action="store_true")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args()
     wanted = cases(options.campaigns, options.only, options.short)
-    if options.finished:
-        before = known(options.cache, options.seed, options.background)
-        wanted = [c for c in wanted if c.key in before]
-    found = collect(wanted, options)
-    for table in (*tables(found), *former(found)):
-        print(table.markdown() if options.markdown else table.text())
+    drawn = {"seed": options.seed, "background": options.background}
+    found = records(
+        wanted, partial(run, **drawn), options, seed=options.seed, share=options.background
+    )
+    show(tables(found))
     if options.failures:
         print("\nFailures\n\n" + "\n".join(failures(found)))
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from benchmarks.attribution_run import Record, accepted
+from benchmarks.attribution_run import accepted
+from benchmarks.runs import Record
 from tests.rig import LEGS
 
 T = TypeVar("T")
@@ -130,9 +131,9 @@ def upper_bound(hits: int, count: int) -> float:
     return 1.0 if hits >= count else float(betaincinv(hits + 1, count - hits, 0.95))
 
 
-def share(records: Sequence[T], test: Callable[[T], bool]) -> str:
+def share(records: Sequence[T], test: Callable[[T], Any]) -> str:
     """Percentage and counts."""
-    hits = sum(map(test, records))
+    hits = sum(bool(test(r)) for r in records)
     return f"{100 * hits / len(records):.1f} % ({hits}/{len(records)})" if records else "-"
 
 

@@ -34,6 +34,8 @@ RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
 LARGEST = 3.0
 """No effect is made larger than this, in tolerances of the machine file."""
 
+LARGEST_OUTSIDE = 1e-3  # metres
+
 OUTSIDE = ("s_curve", "wavy_rail", "kinked_rail", "drive_cubic", "drive_step", "stick_slip",
            "hysteresis", "growing_lash", "cross_coupling", "warming_drive", "carriage_roll",
            "carriage_yaw", "loosening_bar", "platform_play", "dial_curve", "warming_drives",
@@ -186,37 +188,35 @@ class Cause:
         name: as a candidate is called; the kind for what lies outside.
         family: the same of its family.
         errors: parameters at one tolerance, SI; empty outside.
-        extra: from size to what `tests.rig.Rig` adds, outside the catalogue only.
-        into: the rig's field that takes it.
+        extra: a machine with it, from one without and a size; outside the catalogue only.
         places: where it is, as the tool calls places; outside the catalogue only.
+        largest: size beyond which it is not asked for, in tolerances, or metres outside.
     """
 
     name: str
     family: str
     errors: Mapping[str, float]
-    extra: Callable[[float], Any] | None = None
-    into: str = "extra"
+    extra: Callable[[Any, float], Any] | None = None
     places: tuple[str, ...] = ()
+    largest: float = LARGEST
 
-    @property
-    def largest(self) -> float:
-        """Sizes beyond this are not asked for; a worn dial is wrong by three times its standard's
-        limit (DIN 878: 17 um).
-        """
-        if self.extra is None:
-            return LARGEST
-        return 5e-5 if self.into == "extra_dial" else 1e-3
-
-    def added_to(self, rig: Rig, size: float) -> Rig:
+    def added_to(self, rig: Any, size: float) -> Any:
         """The machine with this cause at a size (tolerances, or metres outside)."""
-        if self.extra is None:
-            return rig.with_errors(
-                {n: rig.error(n) + size * value for n, value in self.errors.items()}
-            )
-        made = self.extra(size)
-        if isinstance(made, dict):
-            return replace(rig, **{self.into: {**getattr(rig, self.into), **made}})
-        return replace(rig, **{self.into: (*getattr(rig, self.into), made)})
+        if self.extra is not None:
+            return self.extra(rig, size)
+        errors = {n: rig.errors.get(n, 0.0) + size * value for n, value in self.errors.items()}
+        return replace(rig, errors={**rig.errors, **errors})
+
+
+def _of_rig(field: str, made: Callable[[float], Any]) -> Callable[[Rig, float], Rig]:
+    """Return what adds to a field of a rig that has several errors of a kind."""
+
+    def added(rig: Rig, size: float) -> Rig:
+        there, more = getattr(rig, field), made(size)
+        both = {**there, **more} if isinstance(more, dict) else (*there, more)
+        return replace(rig, **{field: both})
+
+    return added
 
 
 def effect(
@@ -285,7 +285,9 @@ def outside(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> Cause:
     place, extra, into = made[kind]
     # Its sawtooth comes later by the side of approach: one of travel, and lost motion.
     also = (f"{drive}/approach",) if kind == "stick_slip" else ()
-    return Cause(kind, kind, {}, extra, into, (*_by_travel(place), *also))
+    # A worn dial is wrong by three times its standard's limit (DIN 878: 17 um).
+    largest = 5e-5 if into == "extra_dial" else LARGEST_OUTSIDE
+    return Cause(kind, kind, {}, _of_rig(into, extra), (*_by_travel(place), *also), largest)
 
 
 def _by_travel(place: str) -> tuple[str, ...]:
@@ -302,8 +304,8 @@ def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tup
     own, drive = LEGS[leg], f"drive.{LEGS[leg]}"
     if case.kind == "short_wave":
         period, phase = float(rng.uniform(*WAVE_PERIOD)), float(rng.uniform(0, 2 * np.pi))
-        return Cause(case.kind, case.kind, {}, lambda v: rc.drive_wave(leg, v, period, phase),
-                     places=_by_travel(f"{drive}/travel")), size  # fmt: skip
+        wave = _of_rig("extra", lambda v: rc.drive_wave(leg, v, period, phase))
+        return Cause(case.kind, case.kind, {}, wave, _by_travel(f"{drive}/travel")), size
     along = case.what == "drive"
     # A drive shows in the readings on the other legs, a rail in those on its own.
     own_rows = [row for row in rows if (row["leg"] == own) != along]
@@ -312,8 +314,8 @@ def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tup
     width = float(rng.uniform(*BUMP_WIDTH))
     axis = leg if along else (leg + 1 + (case.what == "rail.c")) % 3
     where = drive if along else f"rail.{own}.{LEGS[axis]}"
-    return Cause(case.kind, case.kind, {}, lambda v: rc.bump(leg, axis, v, at, width),
-                 places=_by_travel(f"{where}/travel")), size  # fmt: skip
+    bump = _of_rig("extra", lambda v: rc.bump(leg, axis, v, at, width))
+    return Cause(case.kind, case.kind, {}, bump, _by_travel(f"{where}/travel")), size
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:

@@ -13,12 +13,11 @@ import numpy as np
 import orthoglide as og
 from benchmarks import attribution_cases as ac, independent, public
 from benchmarks.attribution_cases import Array, Case, Cause
-from benchmarks.independent import NOISE, Sheet, Visible, is_cause, metric
+from benchmarks.independent import Sheet, Visible, is_cause, metric
 from benchmarks.public import campaign, machine
+from benchmarks.runs import Record
 from tests import rig_campaigns as rc
 from tests.rig import Rig
-
-Record = dict[str, Any]
 
 SEEN = 0.5
 """A parameter is seen where the readings leave less than this of its tolerance."""
@@ -137,7 +136,8 @@ def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
     try:
         drawn = draw(case, seed, background)
         verdict = og.close_loop([campaign(drawn.rows)], machine(), tcp=drawn.points)
-        record |= _said(verdict) | _compared(drawn, verdict)
+        result = public.verdict_of(verdict)
+        record |= _said(result) | _compared(drawn, result)
     except og.OrthoglideError as error:
         record |= {"word": "error", "message": public.error_text(error)}
     except Exception:  # a crash is a result too: it is counted and shown
@@ -145,8 +145,7 @@ def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
     return record | {"seconds": round(time.perf_counter() - began, 2)}
 
 
-def _said(verdict: og.Verdict) -> Record:
-    result = public.verdict_of(verdict)
+def _said(result: Record) -> Record:
     before, after, left = (result[k] for k in ("before", "after", "left"))
     return {
         "word": result["verdict"],
@@ -158,7 +157,7 @@ def _said(verdict: og.Verdict) -> Record:
     }
 
 
-def _compared(drawn: Drawn, verdict: og.Verdict) -> Record:
+def _compared(drawn: Drawn, result: Record) -> Record:
     # The truth's size is that in all readings, whether or not the tool set some aside.
     found: Record = {"touched": list(drawn.touched), "truth": []}
     if drawn.visible is not None:
@@ -168,10 +167,8 @@ def _compared(drawn: Drawn, verdict: og.Verdict) -> Record:
         found["background"] = drawn.visible.rms(drawn.visible.past(hum))
         if drawn.causes and all(c.extra is None for c, _ in drawn.causes):
             found["told"] = _told(drawn)
-        elif drawn.causes:
-            found["moved"] = _moved(drawn)
-    found["tcp"] = public.tcp_of(verdict)
-    found["covered"] = _covered(drawn.rig, verdict)
+    found["tcp"] = public.tcp_of(result)
+    found["covered"] = _covered(drawn.rig, result)
     return found
 
 
@@ -188,25 +185,13 @@ def _told(drawn: Drawn) -> list[float]:
     return independent.tcp_error(mean, told.command, told.p)
 
 
-def _moved(drawn: Drawn) -> list[int]:
-    """Rows that the error outside the catalogue moves by three sigma past their setup's median."""
-    added = rc.predict(drawn.rig, drawn.rows) - rc.predict(drawn.bare, drawn.rows)
-    setup = np.array([row["setup"] for row in drawn.rows])
-    for name in set(setup.tolist()):
-        added[setup == name] -= np.median(added[setup == name])
-    return np.flatnonzero(np.abs(added) > 3 * NOISE).tolist()
-
-
-def _covered(rig: Rig, verdict: og.Verdict) -> list[list[Any]]:
+def _covered(rig: Rig, result: Record) -> list[list[Any]]:
     """Name, error in stated sigmas and sigma in tolerances of each base parameter that is seen."""
     found = []
-    identified = public.parameters_of(verdict)
+    identified = public.parameters_of(result)
     for name in independent.BASE:
         value, sigma = identified[name]
         share = sigma / independent.tolerance(name)
         if share <= SEEN:
             found.append([name, (value - rig.error(name)) / sigma, share])
     return found
-
-
-__all__ = ["Drawn", "Record", "accepted", "campaign", "draw", "machine", "run"]

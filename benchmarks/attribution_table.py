@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from benchmarks.attribution_asked import (
-    UNNAMED,
     alarmed,
     both_found,
     classes,
@@ -32,68 +30,16 @@ from benchmarks.attribution_asked import (
     worse,
     wrongly_explained,
 )  # fmt: skip
-from benchmarks.attribution_cases import (
-    FAMILIES,
-    FAULTS,
-    LATER,
-    OUTSIDE,
-    PROTOCOLS,
-    SHARES,
-    SHORT,
-    SHORT_SIZES,
-)
-from benchmarks.attribution_run import Record, accepted
-from benchmarks.independent import PER_UNIT, TOLERANCE
-
-ABBREVIATIONS = {
-    "encoder_scale": "scale", "screw_error": "screw", "backlash": "lash",
-    "drive_compliance": "give", "axis_offset": "a.off", "axis_tilt": "a.tilt",
-    "rail_tilt": "r.tilt", "rail_bow": "r.bow", "mount_tilt": "mount", "bar_mismatch": "bars",
-    "parallelogram_width": "width", "thermal_growth": "warm", "thermal_drift": "t.drift",
-    "gauge_scale": "g.scale", "gauge_direction": "g.dir", "gauge_drift": "g.drift",
-}  # fmt: skip
-
-
-UNIT = {
-    "screw_error": "mm", "backlash": "mm", "drive_compliance": "mm/N", "axis_offset": "mm",
-    "axis_tilt": "rad", "rail_tilt": "rad", "rail_bow": "mm", "mount_tilt": "rad",
-    "bar_mismatch": "mm", "parallelogram_width": "mm", "thermal_growth": "1/K",
-    "thermal_drift": "1/s", "gauge_direction": "rad", "gauge_drift": "mm/s",
-}  # fmt: skip
-"""Units of files; those that are missing have none."""
-
-
-@dataclass(frozen=True)
-class Table:
-    """A heading, a sentence, and rows of cells; the first row holds the columns' names."""
-
-    title: str
-    note: str
-    rows: Sequence[Sequence[str]]
-
-    def text(self) -> str:
-        """Plain text, columns aligned."""
-        widths = [max(len(r[k]) for r in self.rows) for k in range(len(self.rows[0]))]
-        lines = [
-            "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(pairs))
-            for pairs in (list(zip(row, widths, strict=True)) for row in self.rows)
-        ]
-        return "\n".join([f"\n{self.title}", *([self.note] if self.note else []), "", *lines])
-
-    def markdown(self) -> str:
-        """A table of Markdown."""
-        lines = ["| " + " | ".join(row) + " |" for row in self.rows]
-        lines.insert(1, "|---" + "|---:" * (len(self.rows[0]) - 1) + "|")
-        return "\n".join(
-            [f"\n## {self.title}\n", *([f"{self.note}\n"] if self.note else []), *lines]
-        )
+from benchmarks.attribution_cases import FAULTS, LATER, OUTSIDE, SHARES, SHORT, SHORT_SIZES
+from benchmarks.attribution_run import accepted
+from benchmarks.runs import Record, Table
 
 
 def tables(records: Sequence[Record]) -> list[Table]:
     """All tables of a run; errors shorter than the stations' distance have one of their own."""
     usual = [r for r in records if r["kind"] in SHARES]
     brief = [r for r in records if r["kind"] in SHORT]
-    made = [requirements, words, places, confusion, detectable, reliability, accuracy]
+    made = [requirements, words, places, reliability, accuracy]
     return [table(usual) for table in made if usual] + [short(brief)] * bool(brief)
 
 
@@ -295,65 +241,6 @@ def _in_group(record: Record, title: str, kind: str) -> bool:
         truth = (record.get("truth") or [None])[0]
         return ended and (title == "clear effect") == (truth is not None and clear(truth))
     return record["kind"] == kind and (": " not in title or title.endswith(f": {record['what']}"))
-
-
-def confusion(records: Sequence[Record]) -> Table:
-    """True family against the family named first; the true one where its class holds it."""
-    rows: list[Sequence[str]] = [("", *ABBREVIATIONS.values(), "none", "unexpl.")]
-    for family in FAMILIES:
-        chosen = [r for r in singles(records) if r["what"] == family and clear(r["truth"][0])]
-        count = Counter(_named_family(r) for r in chosen)
-        columns = (*ABBREVIATIONS, "adequate", "unexplained")
-        rows.append((family, *(str(count[c] or "") for c in columns)))
-    note = "Clear single effects: the row is the truth; a class that holds the truth counts as it."
-    return Table("Confusion", note, rows)
-
-
-def _named_family(record: Record) -> str:
-    if not record["effects"]:
-        return "adequate" if record["word"] in UNNAMED else "unexplained"
-    return str(record["what"] if named(record) else record["effects"][0]["family"])
-
-
-def detectable(records: Sequence[Record]) -> Table:
-    """Size of which half is named, by a logistic curve over the logarithm of the rms."""
-    rows: list[Sequence[str]] = [("", "campaigns", "rms, sigmas", *PROTOCOLS, "unit")]
-    for family in FAMILIES:
-        chosen = [r for r in singles(records) if r["kind"] == "effect" and r["what"] == family]
-        if not chosen:
-            continue
-        rms = np.array([r["truth"][0]["rms"] for r in chosen])
-        half = _half(np.log(np.maximum(rms, 1e-3)), np.array([float(named(r)) for r in chosen]))
-        cells = [_size(chosen, protocol, half) for protocol in PROTOCOLS]
-        unit = UNIT.get(family, "1")
-        level = f"{half:.1f}" if np.isfinite(half) else "-"
-        rows.append((family, str(len(chosen)), level, *cells, unit))
-    note = "Half of the effects of this size are named, alone or in a class; -: never or always."
-    return Table("Smallest detectable effect", note, rows)
-
-
-def _half(logs: np.ndarray, hits: np.ndarray) -> float:
-    """Exponential of where a logistic curve crosses one half; nan where nothing crosses."""
-    if hits.min() == hits.max():
-        return float("nan")
-    from scipy.optimize import minimize
-
-    def cost(q: np.ndarray) -> float:
-        z = np.exp(q[1]) * (logs - q[0])
-        likelihood = np.sum(np.logaddexp(0, z) - hits * z)
-        return float(likelihood + (q[1] - np.log(3)) ** 2 / 2 + (q[0] - np.log(2)) ** 2 / 8)
-
-    found = minimize(cost, np.array([np.log(2.0), np.log(3.0)]), method="BFGS")
-    return float(np.exp(found.x[0]))
-
-
-def _size(chosen: Sequence[Record], protocol: str, rms: float) -> str:
-    here = [r["truth"][0] for r in chosen if r["protocol"] == protocol]
-    each = [t["size"] / t["rms"] for t in here if t["rms"] > 1e-3]
-    if not each or not np.isfinite(rms):
-        return "-"
-    family = chosen[0]["what"]
-    return f"{np.median(each) * rms * TOLERANCE[family] / PER_UNIT.get(family, 1.0):.2g}"
 
 
 def reliability(records: Sequence[Record]) -> Table:

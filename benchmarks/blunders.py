@@ -15,22 +15,12 @@ within 0.1 mm, and the machine's cause in a set that is named. A run goes on whe
 the cache.
 """
 
-# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 from __future__ import annotations
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-import argparse
-import json
-import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 from zlib import crc32
 
@@ -38,13 +28,14 @@ import numpy as np
 
 import orthoglide as og
 from benchmarks import attribution_cases as ac, public, stands_out, whole_machines
+from benchmarks.attribution_asked import share
 from benchmarks.independent import TOLERANCE as EXPECTED, is_cause, tolerance
+from benchmarks.runs import Record, Table, arguments, records, show
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
 
-Record = dict[str, Any]
-
 PROTOCOLS = ("standard", "sweep", "two-gauges")
+NOISE, BACKGROUND = 5e-6, 0.02  # metres of one reading; tolerances of everything
 SIZES = (1.0, 3.0, 8.0)  # of an effect, in tolerances of the machine file
 OUTSIDE: dict[str, Callable[[int, int, float], Rig]] = {
     "s_curve": lambda i, j, v: Rig(extra=(rc.s_curve(i, j, v),)),
@@ -135,19 +126,9 @@ def _effect(family: str, tolerances: float, rng: np.random.Generator, names: lis
     return {name: tolerances * TOLERANCE[family] * float(rng.choice([-1, 1]))}
 
 
-@dataclass(frozen=True)
-class World:
-    """What all campaigns of a run share: seed, repeats, noise and the background's size."""
-
-    seed: int = 0
-    repeats: int = 3
-    noise: float = 5e-6
-    background: float = 0.02
-
-
-def measure(case: Case, world: World, rng: np.random.Generator) -> list[rc.Row]:
+def measure(case: Case, rng: np.random.Generator) -> list[rc.Row]:
     """Rows with readings, before any fault."""
-    plan = rc.protocol_rows(case.protocol, repeats=world.repeats)
+    plan = rc.protocol_rows(case.protocol)
     names = list(dict.fromkeys(r["setup"] for r in plan))
     rig = Rig()
     effect = {}
@@ -163,9 +144,7 @@ def measure(case: Case, world: World, rng: np.random.Generator) -> list[rc.Row]:
     base |= {f"leg_length.{leg}": float(rng.normal(0, 5e-5)) for leg in LEGS}
     rig = rig.with_errors(base | effect)
     warm = (lambda t: 22 + 8 * np.sin(6.9 * t / t.max())) if "thermal" in str(effect) else None
-    return rc.simulate(
-        rig, plan, rng, noise=world.noise, background=world.background, temperature=warm
-    )
+    return rc.simulate(rig, plan, rng, noise=NOISE, background=BACKGROUND, temperature=warm)
 
 
 def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.Fault, str]:
@@ -207,14 +186,14 @@ def _mistyped(rows: list[rc.Row], size: float, rng: np.random.Generator) -> rc.F
     return rc.wrong_command(rows, chosen, drive, -size)
 
 
-def judge(case: Case, world: World) -> Record:
+def judge(case: Case, seed: int) -> Record:
     """Return what became of one campaign, ready for JSON."""
-    rng = np.random.default_rng([world.seed, hash_of(case), case.number])
-    record: Record = {"key": case.key, "world": vars(world), "what": case.what, "name": case.name,
+    rng = np.random.default_rng([seed, hash_of(case), case.number])
+    record: Record = {"key": case.key, "seed": seed, "what": case.what, "name": case.name,
                       "size": case.size}  # fmt: skip
     if case.what == "worn":
         return record | judge_worn(case, rng)
-    rows = measure(case, world, rng)
+    rows = measure(case, rng)
     spoilt, touched = rows, list[int]()
     if case.what == "fault":
         spoilt, touched = spoil(case, rows, rng)[0]
@@ -317,76 +296,58 @@ def worn(campaigns: int) -> list[Case]:
     ]
 
 
-def known(cache: Path | None, world: World) -> dict[str, Record]:
-    """Return the records of an earlier run by key."""
-    if cache is None or not cache.exists():
-        return {}
-    lines = map(json.loads, cache.read_text(encoding="utf-8").splitlines())
-    return {r["key"]: r for r in lines if r["world"] == vars(world)}
-
-
-def run(wanted: Sequence[Case], jobs: int, world: World, cache: Path | None) -> Iterator[Record]:
-    """Yield the records of all cases, those of an earlier run first."""
-    before = known(cache, world)
-    yield from (before[c.key] for c in wanted if c.key in before)
-    # In no order of kinds, so that what is there after a while is a fair part of the whole.
-    missing = sorted(
-        (c for c in wanted if c.key not in before), key=lambda c: crc32(c.key.encode())
-    )
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for record in pool.imap_unordered(partial(judge, world=world), missing):
-            if cache:
-                with cache.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record) + "\n")
-            yield record
-
-
-def report(outcomes: Sequence[Record]) -> str:
-    """Return the tables."""
-    lines = [f"{'no fault of the data':44}{'campaigns':>10}{'with a false fault':>20}"]
+def tables(outcomes: Sequence[Record]) -> Iterator[Table]:
+    """Yield what was seen on sound readings, of faults, and on worn machines."""
+    sound = [["", "campaigns", "with a false fault"]]
     for what, title in (
         ("nothing", "nothing wrong"),
         ("effect", "one effect of the catalogue"),
         ("outside", "one effect outside the catalogue"),
     ):
         own = [o for o in outcomes if o["what"] == what]
-        false = sum(o.get("false", 0) > 0 for o in own)
-        lines.append(f"{title:44}{len(own):>10}{false:>12} ({_percent(false, len(own))})")
-    lines.append("")
-    lines.append(
-        f"{'fault put in':44}{'campaigns':>10}{'found':>8}{'rows':>8}{'refused':>9}{'false':>7}"
-    )
+        sound.append([title, str(len(own)), share(own, _has_false)])
+    yield Table("No fault of the data", "", sound)
+    faults = [["", "campaigns", "found", "rows", "refused", "false", "unseen"]]
     every = [o for o in outcomes if o["what"] == "fault"]
-    for kind, sizes in FAULTS.items():
-        for size in sizes:
-            own = [o for o in every if (o["name"], o["size"]) == (kind, size)]
-            if own:
-                lines.append(_line(kind, size, [o for o in own if o["visible"]]) + _unseen(own))
-    if seen := [o for o in every if o["visible"]]:
-        lines.append(_line("all", 0.0, seen) + _unseen(every))
-    lines += [
-        "",
-        "found: right kind and setup; rows: and those very rows, give or take one; refused: on",
-        "reading or by the identification; false: campaigns with a fault named of sound rows.",
-        "",
-        *_of_worn([o for o in outcomes if o["what"] == "worn"]),
-    ]
-    took = sorted(o["seconds"] for o in outcomes if "seconds" in o)
-    if took:
-        lines.append(f"close_loop: median {took[len(took) // 2]:.1f} s, slowest {took[-1]:.1f} s")
-    return "\n".join(lines)
+    kinds = [(kind, size) for kind, sizes in FAULTS.items() for size in sizes]
+    groups = [(_title(*k), [o for o in every if (o["name"], o["size"]) == k]) for k in kinds]
+    for title, own in [*groups, ("all", every)]:
+        seen = [o for o in own if o["visible"]]
+        tests = (lambda o: o.get("found"), lambda o: o.get("exact"), lambda o: "refused" in o,
+                 _has_false)  # fmt: skip
+        shares = [share(seen, test) for test in tests]
+        faults.append([title, str(len(seen)), *shares, str(len(own) - len(seen) or "")])
+    note = (
+        "*Found*: right kind and setup; *rows*: and those very rows, give or take one; *refused*: "
+        "on reading or by the identification; *false*: campaigns with a fault named of sound rows; "
+        "*unseen*: further campaigns, of which no deviation changed by 0.05 mm."
+    )
+    yield Table("Fault put in", note, faults)
+    yield _of_worn([o for o in outcomes if o["what"] == "worn"])
 
 
-def _of_worn(outcomes: Sequence[Record]) -> Iterator[str]:
-    titles = ("campaigns", "command", "drive", "size", "cause", "all right", "fit left", "refused")
-    yield f"{'wrong command on a worn machine':36}" + "".join(f"{t:>10}" for t in titles)
-    rows = [
-        (f"{s:g} mm, all off by {share:g}", [o for o in own if o["size"] == s])
-        for name, share in WORN.items()
-        for own in [[o for o in outcomes if o["name"] == name]]
+def _has_false(outcome: Record) -> bool:
+    return bool(outcome.get("false", 0) > 0)
+
+
+def _title(kind: str, size: float) -> str:
+    shown = TITLES.get(kind, {}).get(size) or (f"{size:.4g}" + " mm" * (kind in MM) if size else "")
+    return f"{kind} {shown}".strip()
+
+
+MM = ("outlier", "knocked_stand", "command", "turns")
+
+
+def _of_worn(outcomes: Sequence[Record]) -> Table:
+    rows = [["", "campaigns", "command", "drive", "size", "cause", "all right", "fit left",
+             "refused"]]  # fmt: skip
+    groups = [
+        (f"{s:g} mm, all off by {worn_by:g}",
+         [o for o in outcomes if (o["name"], o["size"]) == (name, s)])
+        for name, worn_by in WORN.items()
         for s in WORN_COMMANDS
-    ]
-    for title, own in [*rows, ("all", list(outcomes))]:
+    ]  # fmt: skip
+    for title, own in [*groups, ("all", list(outcomes))]:
         ended = [o for o in own if "word" in o]
         cells = (
             len(own),
@@ -396,64 +357,28 @@ def _of_worn(outcomes: Sequence[Record]) -> Iterator[str]:
             sum(o["word"] in ("partial", "unexplained") for o in ended),
             len(own) - len(ended),
         )
-        if own:
-            yield f"{title:36}" + "".join(f"{c:>10}" for c in cells)
-    yield (
-        "command: a wrong command is reported; drive, size: the first one stated is right; cause:\n"
-        "the machine's cause is in a named set; fit left: verdict partial or unexplained."
+        rows.append([title, *map(str, cells)])
+    note = (
+        "*Command*: a wrong command is reported; *drive*, *size*: the first one stated is right; "
+        "*cause*: the machine's cause is in a named set; *fit left*: verdict partial or "
+        "unexplained."
     )
+    return Table("Wrong command on a worn machine", note, rows)
 
 
-def _line(kind: str, size: float, own: Sequence[Record]) -> str:
-    shown = TITLES.get(kind, {}).get(size) or (f"{size:.4g}" + " mm" * (kind in MM) if size else "")
-    cells = [sum(o.get(k, False) for o in own) for k in ("found", "exact")]
-    cells += [sum("refused" in o for o in own), sum(o.get("false", 0) > 0 for o in own)]
-    shares = [_percent(c, len(own)) for c in cells]
-    return f"{kind + ' ' + shown:44}{len(own):>10}{shares[0]:>8}{shares[1]:>8}{shares[2]:>9}" + (
-        f"{shares[3]:>7}"
-    )
-
-
-MM = ("outlier", "knocked_stand", "command", "turns")
-
-
-def _unseen(own: Sequence[Record]) -> str:
-    left = sum(not o["visible"] for o in own)
-    return f"   ({left} more changed no deviation by 0.05 mm)" if left else ""
-
-
-def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.0f} %" if whole else "-"
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--campaigns", type=int, default=800)
-    parser.add_argument(
-        "--worn", type=int, default=24, help="wrong commands on machines of each share of wear"
-    )
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--seed", type=int, default=0)
+def main() -> None:
+    parser = arguments(__doc__, campaigns=800, worn=24)
     parser.add_argument("--only", default="", help="nothing, effect, outside, fault or worn")
     parser.add_argument("--list", action="store_true", help="every campaign that went wrong")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--noise", type=float, default=0.005, help="of one reading, mm")
-    parser.add_argument("--background", type=float, default=0.02, help="in tolerances")
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
-    options = parser.parse_args(arguments)
-    world = World(options.seed, options.repeats, options.noise * 1e-3, options.background)
+    options = parser.parse_args()
     wanted = [c for c in (*cases(options.campaigns), *worn(options.worn))
               if options.only in (c.what, "")]  # fmt: skip
-    if options.finished:
-        before = known(options.cache, world)
-        wanted = [c for c in wanted if c.key in before]
-    outcomes = list(run(wanted, options.jobs, world, options.cache))
+    outcomes = records(wanted, partial(judge, seed=options.seed), options)
     if options.list:
         for o in outcomes:
             if o.get("false") or (o.get("visible") and not o.get("found")):
                 print(o["key"], "->", o.get("said") or o.get("refused"))
-    print(report(outcomes))
+    show(tables(outcomes))
 
 
 if __name__ == "__main__":

@@ -59,8 +59,6 @@ your own computer, and compare rows of one run. Microseconds a posture on one co
 - *All sensitivities*: derivatives by three drives and thirty virtual joints.
 - *Compiled*: by the computer's C compiler, once, after 50 000 postures, and kept in a cache (`ORTHOGLIDE_CACHE`). The numbers are
   the same to the last bit.
-
-`python3 dev.py bench identify` times identifications of growing campaigns.
 """
 
 

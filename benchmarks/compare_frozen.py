@@ -12,10 +12,9 @@ from __future__ import annotations
 import argparse
 import gzip
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
 
 from benchmarks import (
     attribution_table,
@@ -26,36 +25,32 @@ from benchmarks import (
     stands_out,
     whole_machines,
 )
+from benchmarks.runs import Record, Table, key_of
 
 FROZEN = Path(__file__).parent / "frozen"
 
-Record = dict[str, Any]
 Rows = list[list[str]]
-"""Lines of a table, cell by cell; a line of text is one cell."""
+"""Lines of tables, cell by cell; a heading is one cell."""
 
-
-def _titled(tables: Sequence[attribution_table.Table]) -> Rows:
-    rows: Rows = []
-    for table in tables:
-        rows += [[""], [f"## {table.title}"], [""], *(list(row) for row in table.rows)]
-    return rows
-
-
-def _lines(lines: Iterator[str]) -> Rows:
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    return [row for row in rows if set("".join(row)) - {"-", ":"}]
-
-
-PRINTED: dict[str, Callable[[Sequence[Record]], Rows]] = {
-    "attribution": lambda found: _titled(attribution_table.tables(found)),
-    "whole_machines": lambda found: _lines(whole_machines.table(found)),
-    "second_visit": lambda found: _lines(second_visit.table(found)),
-    "blunders": lambda found: [[line] for line in blunders.report(found).splitlines()],
-    "stands_out": lambda found: _lines(stands_out.table(found)),
-    "delta_truth": lambda found: _titled(list(delta_table.tables(found))),
-    "gains": lambda found: _lines(gains.table(found)),
+TABLES: dict[str, Callable[[Sequence[Record]], Iterable[Table]]] = {
+    "attribution": attribution_table.tables,
+    "whole_machines": whole_machines.tables,
+    "second_visit": second_visit.tables,
+    "blunders": blunders.tables,
+    "stands_out": stands_out.tables,
+    "delta_truth": delta_table.tables,
+    "gains": gains.tables,
 }
 """The tables of each benchmark, from its records."""
+
+
+def rows_of(name: str, records: Iterable[Record]) -> Rows:
+    """Return the lines of a benchmark's tables."""
+    rows: Rows = []
+    for table in TABLES[name](list(records)):
+        rows += [[""], [f"## {table.title}"], [""]] if table.title else []
+        rows += map(list, table.rows)
+    return rows
 
 
 def records_in(path: Path) -> dict[str, Record]:
@@ -67,8 +62,8 @@ def records_in(path: Path) -> dict[str, Record]:
 
 
 def _identity(record: Record) -> str:
-    case = record.get("key") or record["case"]
-    return json.dumps([record.get("seed", record.get("world")), case], sort_keys=True)
+    seed = record["seed"] if "seed" in record else record["world"]["seed"]  # of former runs
+    return f"{seed}: {key_of(record)}"
 
 
 def frozen_path(name: str) -> Path:
@@ -104,13 +99,12 @@ def compared(name: str, fresh: Path | None, everything: bool = False) -> Iterato
     yield f"{name}: {len(before)} campaigns frozen, {len(after)} fresh, {len(common)} in both"
     if not common:
         yield "No campaign is in both: run the benchmark with the seed of the frozen run."
-    make = PRINTED[name]
-    yield from side_by_side(make(list(before.values())), make(list(after.values())))
+    yield from side_by_side(rows_of(name, before.values()), rows_of(name, after.values()))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("name", choices=PRINTED)
+    parser.add_argument("name", choices=TABLES)
     parser.add_argument("fresh", type=Path, nargs="?", help="cache of a fresh run, JSON lines")
     parser.add_argument("--all", action="store_true", help="campaigns of either run, not of both")
     options = parser.parse_args(arguments)

@@ -19,9 +19,8 @@ from benchmarks.attribution_asked import (
     well,
     wrongly_explained,
 )
-from benchmarks.attribution_run import Record
-from benchmarks.attribution_table import Table
 from benchmarks.delta_readings import INSTRUMENTS
+from benchmarks.runs import Record, Table
 
 UNSEEN = 3.0
 """A cause is invisible that shows less than this in all readings together, in sigmas."""

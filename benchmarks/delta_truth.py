@@ -11,31 +11,20 @@ background; *invisible* is what shows less than three sigma of all readings toge
 up to three tolerances.
 """
 
-# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 from __future__ import annotations
 
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
-
-import argparse
-import json
-import multiprocessing
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from pathlib import Path
 from zlib import crc32
 
 import numpy as np
 
 import orthoglide as og
 from benchmarks import public
-from benchmarks.attribution_run import Record
-from benchmarks.attribution_table import Table
+from benchmarks.attribution_cases import Cause
 from benchmarks.delta_readings import INSTRUMENTS, SEEN, Array, measured
 from benchmarks.delta_table import UNSEEN, tables
 from benchmarks.independent import family_of, metric
@@ -47,11 +36,12 @@ from benchmarks.independent_delta import (
     visible as visible_by,
     weights_of,
 )
+from benchmarks.runs import Record, Table, arguments, records
 from tests.rig_delta import LEGS, DeltaRig
 
-BACKGROUND, LARGEST = 0.015, 3.0
+BACKGROUND = 0.015
 SIZES = (4.0, 12.0)
-"""Wanted rms past the base, in sigmas of noise and background; never more than `LARGEST`
+"""Wanted rms past the base, in sigmas of noise and background; never more than three
 tolerances."""
 
 CAUSES: Mapping[str, tuple[str, ...]] = {
@@ -89,34 +79,6 @@ UNSHOWN = (
 
 FEW = """ A few campaigns of each kind are no rate yet;
 `--campaigns 300` takes some minutes."""
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What is put in: parameters at one tolerance, or something else at a millimetre.
-
-    Attributes:
-        name: as a candidate is called; the kind for what lies outside.
-        family: its effect.
-        errors: parameters at one tolerance, SI.
-        extra: machine and plate with it, from both and a size; outside the catalogue only.
-        places: where it is, as the package calls places; none of a bed.
-    """
-
-    name: str
-    family: str
-    errors: Mapping[str, float]
-    extra: Callable[[DeltaRig, float], DeltaRig] | None = None
-    places: tuple[str, ...] = ()
-
-    def added_to(self, rig: DeltaRig, size: float) -> DeltaRig:
-        """The machine with it."""
-        if self.extra is not None:
-            return self.extra(rig, size * 1e-4)
-        errors = dict(rig.errors)
-        for name, value in self.errors.items():
-            errors[name] = errors.get(name, 0.0) + size * value
-        return replace(rig, errors=errors)
 
 
 @dataclass(frozen=True)
@@ -236,7 +198,10 @@ def _strange(kind: str, rng: np.random.Generator) -> Cause:
         for part in (f"rail.{leg}.tangential", f"carriage.{leg}.{leg}")
     )
     where = {"wavy rail": rail, "kinked rail": rail, "carriage rolls in waves": roll}
-    return Cause(kind, kind, {}, made[kind], where.get(kind, ()))
+    extra = made[kind]
+    return Cause(
+        kind, kind, {}, lambda rig, size: extra(rig, 1e-4 * size), where.get(kind, ()), 20.0
+    )
 
 
 def run(case: Case, seed: int) -> Record:
@@ -253,7 +218,7 @@ def run(case: Case, seed: int) -> Record:
             seen = visible_by(INSTRUMENTS[case.instrument], BACKGROUND)
             one = _added(given, cause.added_to(bare, 1.0), bare)
             small = _rms(seen.beside.past(one), seen)
-            size = min(case.rms / max(small, 1e-12), LARGEST if cause.extra is None else 20.0)
+            size = min(case.rms / max(small, 1e-12), cause.largest)
             rig = cause.added_to(bare, size)
             shown = _added(given, rig, bare)
             blurred = seen.beside.past(shown)
@@ -265,9 +230,9 @@ def run(case: Case, seed: int) -> Record:
         result = public.verdict_of(verdict)
         record |= {"word": result["verdict"], "blunders": len(result["blunders"])}
         record |= public.said(result)
-        record["loud"] = public.warned_of_noise(verdict)
-        record["invisible"] = public.unseen_of(verdict)
-        record["tool_mm"] = _errors(rig, verdict)
+        record["loud"] = public.warned_of_noise(result)
+        record["invisible"] = public.unseen_of(result)
+        record["tool_mm"] = _errors(rig, verdict, public.base_of(result, TOLERANCE))
     except og.OrthoglideError as error:
         record |= {"word": "error", "message": public.error_text(error)}
     return record | {"seconds": round(time.perf_counter() - began, 2)}
@@ -285,14 +250,14 @@ def _rms(shown: Array, seen: DeltaVisible) -> float:
     return float(np.linalg.norm(shown) / np.sqrt(seen.count))
 
 
-def _errors(rig: DeltaRig, verdict: og.Verdict) -> list[float]:
+def _errors(rig: DeltaRig, verdict: og.Verdict, base_values: Mapping[str, float]) -> list[float]:
     """Mean error of the predicted tool over the print, best rigid motion of the plate removed."""
     t, z = np.arange(12) * np.pi / 6, np.tile([0.0, 0.05], 6)
     p = np.stack([0.1 * np.cos(t), 0.1 * np.sin(t), z], axis=1)
     command = machine().inverse(p)
     true = np.array([rig.pose(s, q)[0] for s, q in zip(command, p, strict=True)])
     found = []
-    base = machine().with_parameters(public.base_of(verdict, TOLERANCE))
+    base = machine().with_parameters(base_values)
     for predicted in (machine(), base, verdict.machine):
         apart = predicted.forward(command) - true
         turns = np.stack([np.cross(e, p) for e in np.eye(3)], axis=2)
@@ -302,22 +267,6 @@ def _errors(rig: DeltaRig, verdict: og.Verdict) -> list[float]:
         rest = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
         found.append(1e3 * float(np.linalg.norm(rest.reshape(-1, 3), axis=1).mean()))
     return found
-
-
-def collect(wanted: Sequence[Case], seed: int, jobs: int, kept: Path | None) -> list[Record]:
-    """Records of all cases; those in the cache are not made again."""
-    lines = kept.read_text().splitlines() if kept and kept.exists() else []
-    before = {r["key"]: r for r in map(json.loads, lines) if r["seed"] == seed}
-    missing = [c for c in wanted if c.key not in before]
-    for instrument in INSTRUMENTS if any(c.kind in ("effect", "outside") for c in missing) else ():
-        visible_by(INSTRUMENTS[instrument], BACKGROUND)  # once for all processes
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for record in pool.imap_unordered(partial(run, seed=seed), missing):
-            before[record["key"]] = record
-            if kept:
-                with kept.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(record) + "\n")
-    return [before[c.key] for c in wanted]
 
 
 def visible() -> Table:
@@ -348,24 +297,14 @@ def visible() -> Table:
     return Table("What can be seen at all", note, rows)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run what is missing and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--campaigns", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    parser.add_argument("--finished", action="store_true", help="tables of the cache as it is")
-    options = parser.parse_args(arguments)
-    wanted = cases(options.campaigns)
-    if options.finished:
-        lines = map(json.loads, options.cache.read_text().splitlines())
-        there = {r["key"] for r in lines if r["seed"] == options.seed}
-        wanted = [c for c in wanted if c.key in there]
-    found = collect(wanted, options.seed, options.jobs, options.cache)
+def main() -> None:
+    """Run what is missing and print the page."""
+    options = arguments(__doc__, campaigns=300).parse_args()
+    seen = visible()  # which all processes then know
+    found = records(cases(options.campaigns), partial(run, seed=options.seed), options)
     few = FEW if options.campaigns < 300 else ""
     print(HEAD.format(campaigns=options.campaigns, seed=options.seed) + few)
-    for table in (visible(), *tables(found)):
+    for table in (seen, *tables(found)):
         shown = replace(table, rows=[row for row in table.rows if row[0] not in UNSHOWN])
         print(re.sub(r"[\d.]+ % \((\d+/\d+)\)", r"\1", shown.markdown()))
 

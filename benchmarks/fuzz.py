@@ -11,17 +11,12 @@ happens is printed with the number of its case. One in fifty is a verdict on rea
 machine, most of them moved: false ones are counted by kind (``fuzz_verdicts.py``).
 """
 
-# ruff: noqa: E402  (the number of threads must be set before numpy is imported)
 from __future__ import annotations
-
-import os
-
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_name, "1")
 
 import argparse
 import csv
 import json
+import os
 import shutil
 import signal
 import sys
@@ -37,8 +32,7 @@ from random import Random
 from types import FrameType
 from xml.etree import ElementTree as ET
 
-ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from click.testing import CliRunner, Result
 
@@ -47,6 +41,7 @@ from benchmarks.fuzz_originals import originals
 from benchmarks.fuzz_printers import misread
 from benchmarks.fuzz_verdicts import Judged, judged, report
 from benchmarks.public import command_line
+from benchmarks.runs import show
 
 LIMIT = 10.0
 """Seconds of processor time that a small input may take."""
@@ -250,7 +245,7 @@ def main() -> None:
             print(f"{done} cases: {dict(found)}", flush=True)
     spent = time.monotonic() - began
     print(f"{sum(found.values())} cases from {given.seed} on in {spent:.0f} s: {dict(found)}")
-    print(report(verdicts))
+    show([report(verdicts)])
     sys.exit(1 if found["wrong"] or any(v.false for v in verdicts) else 0)
 
 

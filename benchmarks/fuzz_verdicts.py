@@ -17,6 +17,7 @@ import numpy as np
 
 import orthoglide as og
 from benchmarks import public
+from benchmarks.runs import Table
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, Array, Rig
 
@@ -156,23 +157,19 @@ def _beyond(verdict: og.Verdict, rig: Rig) -> float:
     return float(np.mean(off > radius))
 
 
-def report(found: Iterable[Judged]) -> str:
+def report(found: Iterable[Judged]) -> Table:
     """The counts."""
     several = list(found)
-    lines = [f"{'readings':12}{'verdicts':>9}{'adequate':>9}{'told':>6}{'refused':>8}{'false':>6}"]
+    rows = [["readings", "verdicts", "adequate", "told", "refused", "false"]]
     for kind in KINDS:
         own = [j for j in several if j.kind == kind]
         adequate = [j for j in own if j.word == "adequate"]
         counts = (len(own), len(adequate), sum(j.told for j in adequate),
                   sum(j.word == "refused" for j in own), sum(j.false for j in own))  # fmt: skip
-        widths = (9, 9, 6, 8, 6)
-        lines.append(
-            f"{kind:12}" + "".join(f"{n:>{w}}" for n, w in zip(counts, widths, strict=True))
-        )
+        rows.append([kind, *map(str, counts)])
     shares = [j.beyond for j in several if np.isfinite(j.beyond)]
-    if shares:
-        lines.append(
-            f"the tool's shape is beyond its 95 % radius at {100 * np.mean(shares):.1f} % of the "
-            f"places of {len(shares)} adequate machines"
-        )
-    return "\n".join(lines)
+    note = (
+        f"The tool's shape is beyond its 95 % radius at {100 * np.mean(shares or [0.0]):.1f} % of "
+        f"the places of {len(shares)} adequate machines."
+    )
+    return Table("", note, rows)

@@ -13,8 +13,8 @@ it stopped, from the cache.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +22,7 @@ import orthoglide as og
 from benchmarks import attribution_cases as ac, independent, public, whole_machines
 from benchmarks.independent import BASE
 from benchmarks.public import campaign, machine
+from benchmarks.runs import Record, Table, arguments, records, show
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -42,7 +43,6 @@ GRID = 5  # commands along each axis of the workspace
 _EVEN = 1 / 1.2207440846 ** np.arange(1, 4)
 """Steps of a sequence that fills a cube evenly (Roberts 2018, by the root of x^4 = x + 1)."""
 
-Record = dict[str, Any]
 Case = tuple[int, str, int]
 Array = np.ndarray
 
@@ -100,7 +100,6 @@ def run(case: Case, seed: int) -> Record:
     record: Record = {"case": list(case), "seed": seed}
     try:
         verdict = og.close_loop([campaign(rows)], machine())
-        items = public.budget_of(verdict)
     except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
     found, tool = {n: v for n, (v, _) in public.calibrated_of(verdict).items()}, Tool()
@@ -120,7 +119,7 @@ def run(case: Case, seed: int) -> Record:
                 rig.with_errors({n: rig.error(n) - found.get(n, 0.0) for n in _on_rig(item)})
             ),
         }
-        for item in items
+        for item in result["budget"]
     ]
     seconds = round(time.perf_counter() - began, 2)
     return record | {"word": result["verdict"], "error": now, "items": mended, "seconds": seconds}
@@ -131,10 +130,9 @@ def _on_rig(item: Record) -> list[str]:
     return sorted(set(item["members"]) & set(parameter_names()))
 
 
-def table(found: Sequence[Record]) -> Iterator[str]:
-    """The table, in Markdown."""
-    yield "| mended | | items | predicted | realised | ratio | within 1.96 sigma |"
-    yield "|---" * 7 + "|"
+def tables(found: Sequence[Record]) -> list[Table]:
+    """The table; gains in mm."""
+    lines = [["mended", "", "items", "predicted", "realised", "ratio", "within 1.96 sigma"]]
     of_rig = {n.partition(".")[0] for n in parameter_names()}  # a place cannot be mended on a rig
     items = [
         item
@@ -151,10 +149,11 @@ def table(found: Sequence[Record]) -> Iterator[str]:
             gain, sigma = np.transpose([i["said"][how] for i in chosen])
             real = np.array([i[how] for i in chosen])
             within = np.abs(gain - real) <= 1.96 * sigma + LEAST
-            yield (
-                f"| {how} | {what} | {len(chosen)} | {gain.mean():.4f} | {real.mean():.4f} | "
-                f"{gain.mean() / real.mean():.3f} | {100 * within.mean():.1f} % |"
-            )
+            lines.append([
+                how, what, str(len(chosen)), f"{gain.mean():.4f}", f"{real.mean():.4f}",
+                f"{gain.mean() / real.mean():.3f}", f"{100 * within.mean():.1f} %",
+            ])  # fmt: skip
+    return [Table("", "", lines)]
 
 
 LEAST = 5e-4
@@ -162,16 +161,9 @@ LEAST = 5e-4
 
 
 def main() -> None:
-    options = whole_machines.arguments(__doc__, machines=40).parse_args()
+    options = arguments(__doc__, machines=40).parse_args()
     every = [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(options.machines)]
-    began = time.perf_counter()
-    found = list(
-        whole_machines.records(
-            whole_machines.wanted_of(every, options), options.seed, options.jobs, options.cache, run
-        )
-    )
-    print("\n".join(table(found)))
-    print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s; gains in mm.")
+    show(tables(records(every, partial(run, seed=options.seed), options)))
 
 
 if __name__ == "__main__":

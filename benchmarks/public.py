@@ -1,19 +1,17 @@
 """The only door from the benchmarks to the package: `import orthoglide` and what is documented.
 
-Verdicts are turned into plain mappings whose keys and units are those of ``result.json``; a test
-compares them with that file. Where the package's attributes change, this module alone follows.
+Verdicts are read as ``result.json`` has them. Where the package's attributes change, this module
+alone follows.
 
 Attributes used beside ``og.__all__``:
 
-- of a verdict: ``word``, ``effects``, ``located``, ``blunders``, ``changed``, ``budget``, ``tcp``,
-  ``before``, ``after``, ``machine``, ``columns``, ``numbers``, ``left``, ``readings``,
-  ``warnings``, ``invisible``, ``unseen``, ``next_measurements``, ``report``;
+- of a verdict: ``as_dict``, ``word``, ``effects``, ``blunders``, ``changed``, ``machine``,
+  ``before``, ``after``, ``readings``, ``values``;
 - of a check: ``changes``; of a machine: ``forward``, ``inverse``, ``values``, ``spec``.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -65,78 +63,39 @@ def error_text(error: Exception) -> str:
 
 
 def verdict_of(verdict: og.Verdict) -> Result:
-    """Return verdict, causes, places, data faults and lack of fit, keyed as ``result.json``."""
-    return {
-        "verdict": verdict.word,
-        "effects": [_cause(cause) for cause in verdict.effects],
-        "located": [
-            {
-                "class": [_place(member) for member in found.members],
-                "class_probability": found.probability,
-                "resembling": list(found.resembling),
-            }
-            for found in verdict.located
-        ],
-        "blunders": [
-            {"kind": b.kind, "rows": [row for _, row in b.rows_in_request],
-             "setups": list(b.setups), "message": b.message}
-            for b in verdict.blunders
-        ],
-        "before": _scores(verdict.before.scores),
-        "after": _scores(verdict.after.scores),
-        "left": {
-            "lack_of_fit_p": verdict.left.p_value, "background": verdict.left.background,
-            "stopped": verdict.left.stopped,
-        },
-    }  # fmt: skip
+    """Return the keys of ``result.json``; each cause has its credible ``set`` besides, and data
+    faults have ``rows`` of the readings and no lines of their file.
+    """
+    result = verdict.as_dict("")
+    for cause in result["effects"]:
+        cause["set"] = [cause, *cause["same"], *cause["rivals"]]
+    for fault in result["blunders"]:
+        fault["rows"] = [row for _, row in fault["rows_in_request"]]
+    return result
 
 
-def _cause(cause: Any) -> Result:
-    first, *others = (
-        {"name": one.name, "parameters": list(one.parameters), "probability": one.probability,
-         "values": {str(n): float(v) for n, v in one.values.items()}}
-        for one in cause.explanations
-    )  # fmt: skip
-    return {**first, "set": [first, *others]}
+_VARIANT = re.compile(r"(@.*|-line)$")
 
 
-def _place(curve: Any) -> Result:
-    keys = ("leg", "part", "direction", "against", "by_leg", "setup", "short_waves")
-    return {key: getattr(curve, key) for key in keys}
-
-
-def _scores(scores: Any) -> Result:
-    return {
-        "chi2": scores.chi2, "dof": scores.dof, "rms_mm": 1e3 * scores.rms,
-        "lack_of_fit_p": scores.lack_of_fit_p,
-    }  # fmt: skip
-
-
-def place_name(place: Mapping[str, Any]) -> str:
-    """Return the one-line name of a place of ``located``, such as ``rail.z.y/travel``."""
-    if place["part"] == "dial":
-        return f"dial{'.' if place['setup'] else ''}{place['setup'] or ''}/{place['against']}"
-    against = "waves" if place["short_waves"] else place["against"]
-    if against == "command":
-        against = f"command.{place['by_leg']}"
-    where = ".".join(str(p) for p in (place["part"], place["leg"], place["direction"]) if p)
-    return f"{where}/{against}"
+def place_name(name: str) -> str:
+    """Return the name of a place without that of a variant, such as ``rail.z.y/travel``."""
+    return _VARIANT.sub("", name)
 
 
 def said(result: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     """Return causes with their credible sets, and classes of places, ready for JSON."""
     effects = [
         {
-            "name": str(e["name"]),
+            "name": e["name"],
             "family": e["name"].partition(".")[0],
-            "members": [[str(m["name"]), m["parameters"], m["probability"]] for m in e["set"]],
+            "members": [[m["name"], m["parameters"], m["probability"]] for m in e["set"]],
         }
         for e in result["effects"]
     ]
     located = [
         {
-            "places": [place_name(p) for p in found["class"]],
-            "resembling": [str(n) for n in found["resembling"]],
+            "places": [place_name(p["name"]) for p in found["class"]],
+            "resembling": found["resembling"],
             "probability": found["class_probability"],
         }
         for found in result["located"]
@@ -144,23 +103,20 @@ def said(result: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     return {"effects": effects, "located": located}
 
 
-def tcp_of(verdict: og.Verdict) -> Result:
-    """Return TCP errors after the best translation, mean and largest, millimetres."""
-    errors = (verdict.tcp or {})["translation"]
-    figures = {k: [1e3 * x for x in getattr(errors, k)] for k in ("nominal", "before", "after")}
-    return {**figures, "inside": errors.inside, "stated": stated_mm(verdict)}
+def tcp_of(result: Mapping[str, Any]) -> Result:
+    """Return TCP errors after the best translation, mean and largest, and the mean that is stated
+    of compensated commands, millimetres.
+    """
+    errors, stated = result["tcp"]["translation"], result["tool"]["compensated"]["shape_mm"]
+    figures = {state: [errors[f"{state}_{k}_mm"] for k in ("mean", "max")]
+               for state in ("nominal", "before", "after")}  # fmt: skip
+    return {**figures, "inside": errors["inside_95"], "stated": stated}
 
 
-def stated_mm(verdict: og.Verdict) -> float:
-    """Return the mean TCP error that the result expects of its compensated commands."""
-    return float(1e3 * verdict.numbers.expected["compensated"].shape)
-
-
-def parameters_of(verdict: og.Verdict) -> dict[str, tuple[float, float]]:
-    """Return value and sigma of the identified parameters, SI: ``parameters`` of the result."""
-    columns = verdict.columns
-    rows = zip(columns["parameter"], columns["value"], columns["sigma"], strict=True)
-    return {str(n): (v * unit_of(n), s * unit_of(n)) for n, v, s in rows}
+def parameters_of(result: Mapping[str, Any]) -> dict[str, tuple[float, float]]:
+    """Return value and sigma of the identified parameters, SI."""
+    return {n: (p["value"] * unit_of(n), p["sigma"] * unit_of(n))
+            for n, p in result["parameters"].items()}  # fmt: skip
 
 
 def calibrated_of(verdict: og.Verdict) -> dict[str, tuple[float, float]]:
@@ -177,26 +133,11 @@ def unit_of(name: str) -> float:
     return PER_UNIT.get(str(name).partition(".")[0], 1.0)
 
 
-def base_of(verdict: og.Verdict, families: Collection[str]) -> dict[str, float]:
+def base_of(result: Mapping[str, Any], families: Collection[str]) -> dict[str, float]:
     """Return the machine's parameters of the base model, SI: those of the families given."""
-    values = verdict.before.values
-    return {str(n): float(v) for n, v in values.items()
-            if str(n).partition(".")[0] in families and not str(n).startswith("plate")}  # fmt: skip
-
-
-def budget_of(verdict: og.Verdict) -> list[Result]:
-    """Return the items of the error budget with their gains, millimetres."""
-    return [
-        {
-            "cause": str(item.cause),
-            "members": [str(n) for n in item.members],
-            "gain_mm": 1e3 * item.gain,
-            "gain_sigma_mm": 1e3 * item.gain_sigma,
-            "compensated_mm": 1e3 * item.compensated,
-            "compensated_sigma_mm": 1e3 * item.compensated_sigma,
-        }
-        for item in verdict.budget
-    ]
+    values = result["before"]["values_si"]
+    return {n: v for n, v in values.items()
+            if n.partition(".")[0] in families and not n.startswith("plate")}  # fmt: skip
 
 
 def changes_of(found: og.Verdict | og.Check) -> list[Result]:
@@ -229,23 +170,14 @@ def commands_in(message: str) -> Iterable[tuple[str, float]]:
     return [(drive, float(likely) - float(written)) for drive, likely, written in stated]
 
 
-def warned_of_noise(verdict: og.Verdict) -> bool:
+def warned_of_noise(result: Mapping[str, Any]) -> bool:
     """Whether a warning says that the readings are far noisier than is usual."""
-    return any(note.kind == "loud" for note in verdict.warnings)
+    return any(note["kind"] == "loud" for note in result["notes"])
 
 
-def unseen_of(verdict: og.Verdict) -> list[str]:
+def unseen_of(result: Mapping[str, Any]) -> list[str]:
     """Return the effects that the readings cannot show."""
-    return [*verdict.invisible, *verdict.unseen.unexcited]
-
-
-def result_json(verdict: og.Verdict) -> Result:
-    """Return ``result.json`` of a verdict, as a report writes it."""
-    with tempfile.TemporaryDirectory() as folder:
-        verdict.report(Path(folder) / "out")
-        text = (Path(folder) / "out" / "result.json").read_text(encoding="utf-8")
-    loaded: Result = json.loads(text)
-    return loaded
+    return [*result["invisible"], *result["unseen"]["unexcited"]]
 
 
 # -- without a public name -----------------------------------------------------------------------

@@ -13,7 +13,8 @@ A run goes on where it stopped, from the cache.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from benchmarks import attribution_cases as ac, public
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import tolerance
 from benchmarks.public import campaign, machine
-from benchmarks.whole_machines import Record, arguments, records, wanted_of
+from benchmarks.runs import Record, Table, arguments, records, show
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -107,21 +108,20 @@ def told(changes: Iterable[Record], truth: Errors) -> list[Record]:
     return found
 
 
-def table(found: Sequence[Record]) -> Iterator[str]:
-    """The table, in Markdown."""
-    yield (
-        "| changed, and by which route | n | all reported and nothing else | reported "
-        "| first of its set | false | 95 % interval holds |"
-    )
-    yield "|---" * 7 + "|"
+def tables(found: Sequence[Record]) -> list[Table]:
+    """The table."""
+    lines = [["changed, and by which route", "n", "all reported and nothing else", "reported",
+              "first of its set", "false", "95 % interval holds"]]  # fmt: skip
     for route in ROUTES:
         for count in COUNTS:
             rows = [r for r in found if r["case"][0] == count and route in r]
-            yield f"| {count}, {route} | {_row(rows, route)} |"
-        yield f"| all, {route} | {_row([r for r in found if route in r], route)} |"
+            lines.append([f"{count}, {route}", *_row(rows, route)])
+        lines.append([f"all, {route}", *_row([r for r in found if route in r], route)])
+    errors = sum(r["word"] == "error" for r in found)
+    return [Table("", f"{errors} of {len(found)} ended in an error", lines)]
 
 
-def _row(rows: Sequence[Record], route: str) -> str:
+def _row(rows: Sequence[Record], route: str) -> list[str]:
     said = [t for r in rows for t in r[route]]
     held = [
         (name, any(name in t["right"] for t in r[route])) for r in rows for name in r["changed"]
@@ -132,28 +132,24 @@ def _row(rows: Sequence[Record], route: str) -> str:
         for r in rows
     ]
     right = [t for t in said if t["right"]]
-    return " | ".join(
-        (
-            str(len(rows)),
-            share_of(whole, bool),
-            share_of(held, lambda h: h[1]),
-            share_of(right, lambda t: t["members"][0] in t["right"]),
-            share_of(said, lambda t: not t["right"]),
-            share_of([t for t in said if t["apart"] is not None], lambda t: abs(t["apart"]) < 1.96),
-        )
-    )
+    return [
+        str(len(rows)),
+        share_of(whole, bool),
+        share_of(held, lambda h: h[1]),
+        share_of(right, lambda t: t["members"][0] in t["right"]),
+        share_of(said, lambda t: not t["right"]),
+        share_of([t for t in said if t["apart"] is not None], lambda t: abs(t["apart"]) < 1.96),
+    ]
 
 
 def main() -> None:
-    options = arguments(__doc__).parse_args()
+    options = arguments(__doc__, machines=60).parse_args()
     every = [
         (count, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k)
         for k in range(options.machines)
         for count in COUNTS
     ]
-    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
-    print("\n".join(table(found)))
-    print(f"\n{sum(r['word'] == 'error' for r in found)} of {len(found)} ended in an error")
+    show(tables(records(every, partial(run, seed=options.seed), options)))
 
 
 if __name__ == "__main__":

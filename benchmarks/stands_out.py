@@ -11,8 +11,8 @@ from the cache.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -21,15 +21,8 @@ from benchmarks import attribution_cases as ac, independent, public, whole_machi
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import Sheet, Visible, is_cause, parameters, structured
 from benchmarks.public import campaign, machine
-from benchmarks.whole_machines import (
-    FAMILIES,
-    SHARES,
-    Record,
-    arguments,
-    records,
-    rig_of,
-    wanted_of,
-)
+from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.whole_machines import FAMILIES, SHARES, rig_of
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -70,7 +63,9 @@ def run(case: tuple[float, str, int, int], seed: int) -> Record:
         "word": result["verdict"],
         "seen": seen(visible, size_of, share),
         "sets": [[right(e["name"], e["parameters"]) for e in f["set"]] for f in result["effects"]],
-        "so": [any(is_so(e["values"], setups, rig) for e in f["set"]) for f in result["effects"]],
+        "so": [
+            any(is_so(e["values_si"], setups, rig) for e in f["set"]) for f in result["effects"]
+        ],
         "stated": [sum(e["probability"] for e in f["set"]) for f in result["effects"]],
         "oracle": oracle(visible, size, right),
         "located": [f["places"][0] for f in public.said(result)["located"]],
@@ -138,60 +133,52 @@ def oracle(visible: Visible, size: float, right: Callable[[str, Sequence[str]], 
     return bool(named and any(hits[k] for k in order[:count]))
 
 
-def table(found: Sequence[Record]) -> Iterator[str]:
-    """The table, in Markdown."""
-    yield (
-        "| f, and the cause | n | it is clear | named, alone or in a set | oracle "
-        "| first and alone | sets that hold it | or say what is so | as they state "
-        "| size of its set | places said |"
-    )
-    yield "|---" * 11 + "|"
+def tables(found: Sequence[Record]) -> list[Table]:
+    """The table."""
+    lines = [["f, and the cause", "n", "it is clear", "named, alone or in a set", "oracle",
+              "first and alone", "sets that hold it", "or say what is so", "as they state",
+              "size of its set", "places said"]]  # fmt: skip
     told = [r for r in found if "sets" in r]
     for times in TIMES:
         for share in SHARES[1:]:
             rows = [r for r in told if (r["case"][0], r["case"][3]) == (share, times)]
-            yield f"| {share:g}, {times} times that | {_row(rows)} |"
+            lines.append([f"{share:g}, {times} times that", *_row(rows)])
     for times in TIMES:
         for protocol in ac.PROTOCOLS:
             rows = [r for r in told if (r["case"][1], r["case"][3]) == (protocol, times)]
-            yield f"| {protocol}, {times} times | {_row(rows)} |"
-    yield f"| all | {_row(told)} |"
+            lines.append([f"{protocol}, {times} times", *_row(rows)])
+    return [Table("", "", [*lines, ["all", *_row(told)]])]
 
 
-def _row(rows: Sequence[Record]) -> str:
+def _row(rows: Sequence[Record]) -> list[str]:
     clear = [r for r in rows if r["seen"] >= CLEAR]
     sets = [s for r in rows for s in r["sets"]]
     so = [(any(s), true) for r in rows for s, true in zip(r["sets"], r["so"], strict=True)]
     stated = [p for r in rows for p in r["stated"]]
     sizes = [len(s) for s in sets if any(s)]
-    return " | ".join(
-        (
-            str(len(rows)),
-            str(len(clear)),
-            share_of(clear, lambda r: any(map(any, r["sets"]))),
-            share_of(clear, lambda r: r["oracle"]),
-            share_of(clear, lambda r: r["sets"][:1] == [[True]]),
-            share_of(sets, any),
-            share_of(so, any),
-            f"{100 * np.mean(stated):.1f} %" if stated else "-",
-            f"{np.mean(sizes):.2f}" if sizes else "-",
-            str(sum(len(r["located"]) for r in rows)),
-        )
-    )
+    return [
+        str(len(rows)),
+        str(len(clear)),
+        share_of(clear, lambda r: any(map(any, r["sets"]))),
+        share_of(clear, lambda r: r["oracle"]),
+        share_of(clear, lambda r: r["sets"][:1] == [[True]]),
+        share_of(sets, any),
+        share_of(so, any),
+        f"{100 * np.mean(stated):.1f} %" if stated else "-",
+        f"{np.mean(sizes):.2f}" if sizes else "-",
+        str(sum(len(r["located"]) for r in rows)),
+    ]
 
 
 def main() -> None:
-    options = arguments(__doc__).parse_args()
+    options = arguments(__doc__, machines=60).parse_args()
     every = [
         (share, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k, times)
         for k in range(options.machines)
         for share in SHARES[1:]
         for times in TIMES
     ]
-    began = time.perf_counter()
-    found = list(records(wanted_of(every, options), options.seed, options.jobs, options.cache, run))
-    print("\n".join(table(found)))
-    print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s.")
+    show(tables(records(every, partial(run, seed=options.seed), options)))
 
 
 if __name__ == "__main__":

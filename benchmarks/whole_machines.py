@@ -10,14 +10,10 @@ A run goes on where it stopped, from the cache.
 
 from __future__ import annotations
 
-import argparse
-import json
-import multiprocessing
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +22,7 @@ from benchmarks import attribution_cases as ac, independent, public
 from benchmarks.attribution_run import points_of
 from benchmarks.independent import Sheet
 from benchmarks.public import campaign, machine
+from benchmarks.runs import Record, Table, arguments, records, show
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -40,7 +37,6 @@ FAMILIES = (
 BASE_SD = (1e-3, 5e-5)
 """Standard deviations by which joint offsets and leg lengths are drawn, metres."""
 
-Record = dict[str, Any]
 Case = tuple[float, str, int]
 
 
@@ -67,10 +63,10 @@ def run(case: Case, seed: int) -> Record:
     except og.OrthoglideError as error:
         return record | {"word": "error", "message": str(error)}
     seconds = time.perf_counter() - began
-    errors = public.tcp_of(verdict)
+    result = public.verdict_of(verdict)
+    errors = public.tcp_of(result)
     told = points.points()
     given = independent.tcp_error(oracle(rows, max(share, 1e-3)), told.command, told.p)
-    result = public.verdict_of(verdict)
     said = public.said(result)
     return record | {
         "word": result["verdict"],
@@ -104,33 +100,10 @@ def covered(verdict: og.Verdict, rig: Rig) -> list[bool]:
     ]
 
 
-def records(
-    cases: Sequence[tuple[Any, ...]],
-    seed: int,
-    jobs: int,
-    cache: Path | None,
-    run: Callable[..., Record] = run,
-) -> Iterator[Record]:
-    """Records of all cases, those of an earlier run first."""
-    lines = cache.read_text().splitlines() if cache and cache.exists() else []
-    known = [r for r in map(json.loads, lines) if r["seed"] == seed]
-    yield from (r for r in known if tuple(r["case"]) in cases)
-    done = {tuple(r["case"]) for r in known}
-    missing = [c for c in cases if c not in done]
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        for record in pool.imap_unordered(partial(run, seed=seed), missing):
-            if cache:
-                with cache.open("a") as file:
-                    file.write(json.dumps(record) + "\n")
-            yield record
-
-
-def table(found: Sequence[Record]) -> Iterator[str]:
-    """The table, in Markdown."""
-    yield "| machines | n | nominal | before | after | oracle | stated | worse than before |" + (
-        " TCP inside | parameters inside | verdicts |"
-    )
-    yield "|---" * 11 + "|"
+def tables(found: Sequence[Record]) -> list[Table]:
+    """The table; TCP errors in mm."""
+    lines = [["machines", "n", "nominal", "before", "after", "oracle", "stated",
+              "worse than before", "TCP inside", "parameters inside", "verdicts"]]  # fmt: skip
     for share in SHARES:
         rows = [r for r in found if r["case"][0] == share and "tcp" in r]
         if not rows:
@@ -141,50 +114,22 @@ def table(found: Sequence[Record]) -> Iterator[str]:
         worse = sum(r["tcp"][2] > r["tcp"][1] + r["stated"] for r in rows)
         inside = np.array([r["inside"] for r in rows])
         held = np.array([np.mean(r["parameters"]) for r in rows])
-        words: dict[str, int] = {}
-        for r in rows:
-            words[r["word"]] = words.get(r["word"], 0) + 1
+        words = Counter(r["word"] for r in rows)
         error = 1 / np.sqrt(max(len(rows) - 1, 1))
-        yield (
-            f"| f = {share:g} | {len(rows)} | "
-            + " | ".join(f"{v:.4f}" for v in (*tcp, stated))
-            + f" | {worse} | {inside.mean():.3f} ± {inside.std() * error:.3f} | "
-            + f"{held.mean():.3f} ± {held.std() * error:.3f} | "
-            + ", ".join(f"{w} {n}" for w, n in sorted(words.items()))
-            + " |"
-        )
-
-
-def arguments(says: str, machines: int = 60) -> argparse.ArgumentParser:
-    """Options of a benchmark on machines, which goes on from its cache."""
-    parser = argparse.ArgumentParser(description=says.splitlines()[0])
-    parser.add_argument("--machines", type=int, default=machines, help="of each row")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
-    parser.add_argument("--finished", action="store_true", help="the table of the cache as it is")
-    return parser
-
-
-def wanted_of(every: Sequence[tuple[Any, ...]], options: argparse.Namespace) -> list[Any]:
-    """Return all cases, or those that the cache holds."""
-    if not options.finished:
-        return list(every)
-    lines = map(json.loads, options.cache.read_text().splitlines())
-    there = {tuple(r["case"]) for r in lines if r["seed"] == options.seed}
-    return [c for c in every if c in there]
+        lines.append([
+            f"f = {share:g}", str(len(rows)), *(f"{v:.4f}" for v in (*tcp, stated)), str(worse),
+            *(f"{v.mean():.3f} ± {v.std() * error:.3f}" for v in (inside, held)),
+            ", ".join(f"{w} {n}" for w, n in sorted(words.items())),
+        ])  # fmt: skip
+    return [Table("", "", lines)]
 
 
 def main() -> None:
-    options = arguments(__doc__).parse_args()
+    options = arguments(__doc__, machines=60).parse_args()
     every = [
         (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
     ]
-    every = wanted_of(every, options)
-    began = time.perf_counter()
-    found = list(records(every, options.seed, options.jobs, options.cache))
-    print("\n".join(table(found)))
-    print(f"\n{len(found)} machines, {time.perf_counter() - began:.0f} s; TCP errors in mm.")
+    show(tables(records(every, partial(run, seed=options.seed), options)))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import gains
-from benchmarks.attribution_run import machine
+from benchmarks.public import machine
 from orthoglide.explanation.budget import _Controller
 from orthoglide.explanation.linear_model import Group, LinearModel, identity_group
 from orthoglide.explanation.mixture import Mixture
@@ -20,7 +20,7 @@ def test_a_cause_gains_what_was_said() -> None:
         gain, sigma = item["said"][how]
         assert gain == pytest.approx(item[how], rel=0.1)
         assert abs(gain - item[how]) <= 1.96 * sigma + gains.LEAST
-    assert "| repaired | causes named | 1 |" in "\n".join(gains.table([record]))
+    assert "| repaired | causes named | 1 |" in gains.tables([record])[0].markdown()
 
 
 def test_the_best_zeros_and_lengths_leave_nothing_of_zeros_and_lengths() -> None:

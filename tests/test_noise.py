@@ -13,10 +13,9 @@ from orthoglide.errors import InputError
 from orthoglide.fit import Noise, noise_of
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, RowNoise
 from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
-from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
-from orthoglide.planning.sheets import tool_sheet
+from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.result import Fit
 from tests.studied import studied
 
@@ -251,7 +250,7 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
     """A sound machine had something that no effect explains, and its instrument was not doubted."""
     nominal = og.Machine.nominal()
     machine = og.Machine(replace(nominal.spec, instruments={"tcp": Instrument(1e-6, 1e-5)}))
-    sheet = tool_sheet(machine, OBSERVATIONS["tcp"])
+    sheet = instrument_sheet(machine, "tcp")
     read = og.simulate(machine, sheet, noise=times * 1e-5, seed=4)
     notes = scatter_notes(og.identify(read, machine))
     assert len(notes) == (times > 1)

@@ -11,7 +11,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks.attribution_cases import base_errors
-from benchmarks.attribution_run import campaign as campaign_of
+from benchmarks.public import campaign as campaign_of
 from orthoglide.errors import InputError
 from orthoglide.machine_file.model import Measured
 from orthoglide.simulation import simulate, simulate_tcp

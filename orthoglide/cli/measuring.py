@@ -292,13 +292,13 @@ def _design_for_instruments(
         owned_sheets = planning.sheets_by_kind(machine, owns, count)
         smallest = planning.smallest_effects(machine, list(owned_sheets.values()), seed=seed)
     instruments = ", ".join(
-        f"{planning.INSTRUMENT_WORDS[kind]} ({len(s)})" for kind, s in owned_sheets.items()
+        f"{s.setups[0].observation.instrument_phrase} ({len(s)})" for s in owned_sheets.values()
     )
     lines = [f"with {instruments}:", *planning.detectable_rows(smallest)]
     files = dict[Path, str]()
     if out is not None:
         by_place = machine.spec.kinematics is not None
-        if not (sheets := planning.blank_tool_sheets(owned_sheets.values())):
+        if not (sheets := [s for s in owned_sheets.values() if s.of_tool]):
             raise InputError("orthoglide protocol writes the sheets of dials alone")
         files[out] = campaign_text(sheets, machine.spec, commands_as_places=True)
         moves = sum(len(sheet.moves) for sheet in sheets)

@@ -20,11 +20,12 @@ from orthoglide.fit.assembling import with_free
 from orthoglide.fit.excitation import excited_effects, unmet_conditions
 from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.reading_tables import fitted_readings, row_indices
+from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
-from orthoglide.planning import INSTRUMENT_WORDS, Suggestion
+from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
     DataFault,
@@ -86,7 +87,7 @@ def _result_values(outcome: RunOutcome) -> Result:
         workspace=None if posterior is None else _workspace(base, posterior, outcome.machine),
         invisible=invisible,
         unseen=unseen,
-        instruments={kind: words for kind, words in INSTRUMENT_WORDS.items() if kind in kinds},
+        instruments={k: o.instrument_phrase for k, o in OBSERVATIONS.items() if k in kinds},
         warnings=_warnings(outcome),
         calibrated_before=base.problem.has_earlier_calibration,
         shapes_of_plate=posterior is not None and bool(posterior.mixture.linear.plate_shapes.any()),

@@ -196,9 +196,9 @@ class Session:
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _start_time: float = field(default=0.0, init=False)
     _parts: list[_Part] = field(default_factory=list, init=False)  # up to the next row
-    _machine_in_place: bool = field(default=False, init=False)  # at the last row of the file
-    _announced_dials: tuple[str, ...] = field(default=(), init=False)  # announced last
-    _announced_position: str = field(default="", init=False)  # position announced last
+    _dials: tuple[str, ...] = field(default=(), init=False)  # announced last
+    # dials and position of the machine announced last; none where nobody knows where it stands
+    _place: tuple[tuple[str, ...], str] | None = field(default=None, init=False)
 
     def run(self) -> SessionEnd | None:
         """Ask until the verdict is settled, or no more is to be read.
@@ -273,11 +273,11 @@ class Session:
         reading = sum(row["kind"] != "move" for row in part.rows[:count])
         self._announce_mounting(part, planned["setup"])
         if planned["kind"] == "move":
-            self._move_without_reading(planned)
+            self._pass(planned)
             return
-        if not self._machine_in_place and self.record.rows:
-            self._lead_back(part.expected.sheet, reading)
-        self._tell_position(planned, "go to", f"posture {planned['posture']}")
+        if self._place is None and self.record.rows:
+            self._pass(self._way_back(part.expected.sheet, reading))
+        self._go(planned, "go to", f"posture {planned['posture']}")
         self._ask_reading(part, planned, reading)
 
     def _ask_reading(self, part: _Part, planned: Row, reading: int) -> None:
@@ -297,18 +297,18 @@ class Session:
             if answer == "help":
                 self.tell(f"{HELP}\n{SETTLED_CRITERION}")
             elif answer == "skip":
-                self._append(_as_move(planned, SKIPPED_POSTURE))
+                self.record.append(_as_move(planned, SKIPPED_POSTURE))
                 return
             elif answer == "undo":
                 if self.record.take_back():
-                    self._machine_in_place, self._announced_position = False, ""
+                    self._place = None
                     return
                 self.tell("  there is no reading to take back")
             else:
                 objection, possible = part.expected.objection(reading, float(answer) * 1e-3, taken)
                 if not objection or (possible and answer == doubted):
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
-                    self._append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
+                    self.record.append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
                     return
                 doubted = answer
                 judgement, remedy = (
@@ -318,16 +318,12 @@ class Session:
                 )
                 self.tell(f"  {answer:f} mm {judgement}: {objection}. {remedy}")
 
-    def _append(self, row: Row) -> None:
-        self.record.append(row)
-        self._machine_in_place = True
-
     def _announce_mounting(self, part: _Part, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
         names = mounted_together(part.rows)[setup]
-        if self._announced_dials == names:
+        if self._dials == names:
             return
-        self._announced_dials, self._announced_position = names, ""
+        self._dials = names
         self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {' and '.join(names)}")
         for dial in part.expected.sheet.setups:
             if dial.name in names:
@@ -336,20 +332,21 @@ class Session:
                 self.tell(f"  {dial.name}\n    {words}")
         self.tell(f"  {command_convention(self.machine)}")
 
-    def _move_without_reading(self, row: Row) -> None:
+    def _pass(self, row: Row) -> None:
         """Send the machine to a place where nothing is read."""
-        self._tell_position(row, "go past", "and read nothing")
-        self._append(row)
+        self._go(row, "go past", "and read nothing")
+        self.record.append(row)
 
-    def _lead_back(self, sheet: Readings, reading: int) -> None:
-        """Lead the machine back, so that it comes to the next place from the prescribed side."""
+    def _way_back(self, sheet: Readings, reading: int) -> Row:
+        """Return the move from which the machine comes to a place from the prescribed side."""
         command = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
         target = replace(sheet.subset([reading]), command=command[None], moves=Moves())
-        self._move_without_reading(_as_move(self.record.plan(target)[0], RETURN_POSTURE))
+        return _as_move(self.record.plan(target)[0], RETURN_POSTURE)
 
-    def _tell_position(self, planned: Row, action: str, purpose: str) -> None:
+    def _go(self, planned: Row, action: str, purpose: str) -> None:
+        """Say where the machine is to go, unless it is there."""
         commands = {name.split("_")[1]: planned[name] for name in command_columns(planned)}
         position = "  ".join(f"{axis} {float(cell):.3f}" for axis, cell in commands.items())
-        if self._announced_position != position:
+        if self._place != (self._dials, position):
             self.tell(f"{action:<7}  {position}  {purpose}")
-        self._announced_position = position
+        self._place = self._dials, position

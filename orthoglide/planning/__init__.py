@@ -22,12 +22,7 @@ from orthoglide.planning.rivals import (
     next_measurements as next_measurements,
     suggest_separating_located_errors as suggest_separating_located_errors,
 )
-from orthoglide.planning.sheets import (
-    INSTRUMENT_WORDS as INSTRUMENT_WORDS,
-    blank_tool_sheets as blank_tool_sheets,
-    sheets_by_kind as sheets_by_kind,
-    tool_sheets as tool_sheets,
-)
+from orthoglide.planning.sheets import sheets_by_kind as sheets_by_kind, tool_sheets as tool_sheets
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
     next_sheet as next_sheet,

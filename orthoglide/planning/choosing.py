@@ -22,9 +22,7 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import largest
 from orthoglide.planning.linear import LinearReadings, Steps
 
-_PASSES = 2  # of exchange over all mountings: a third gained nothing on the machines tried
 _MAX_READINGS = 500  # readings of a sheet: a day's work, and some minutes to choose
-_MIN_RELATIVE_GAIN = 1e-6  # of a criterion's value: an exchange that gains less is none
 _MIN_GAIN = 1e-9  # gain below which a step is not worth a reading
 
 
@@ -165,21 +163,15 @@ C = TypeVar("C", bound=Criterion)
 
 
 def choose(
-    readings: LinearReadings,
-    start: C,
-    count: int,
-    *,
-    mounting_cost: float = 2.0,
-    exchange: bool = False,
+    readings: LinearReadings, start: C, count: int, *, mounting_cost: float = 2.0
 ) -> tuple[tuple[int, ...], C]:
-    """Return the readings that raise a criterion most.
+    """Return the readings that raise a criterion most, step by step by the gain for the cost.
 
     Args:
         readings: to choose from.
         start: the criterion before any is taken.
         count: how many readings at most.
         mounting_cost: what it costs to mount a dial and take its first two readings, in readings.
-        exchange: whether to try again mounting by mounting, until nothing improves.
 
     Returns:
         Rows of the pool, with repetitions, and the criterion with them.
@@ -192,29 +184,9 @@ def choose(
         raise InputError(
             f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
         )
-    rows, best = _add_greedily(readings, start, [], count, mounting_cost)
-    setups = readings.campaign.setup
-    for _ in range(_PASSES if exchange else 0):
-        value_before = best.value
-        for setup in dict.fromkeys(setups[rows].tolist()):
-            rows_kept = [k for k in rows if setups[k] != setup]
-            new_rows, candidate = _add_greedily(
-                readings, start.with_rows(readings, rows_kept), rows_kept, count, mounting_cost
-            )
-            if candidate.value > best.value + _MIN_RELATIVE_GAIN * abs(best.value):
-                rows, best = new_rows, candidate
-        if best.value - value_before <= _MIN_RELATIVE_GAIN * abs(value_before):
-            break
-    return tuple(rows), best
-
-
-def _add_greedily(
-    readings: LinearReadings, criterion: C, rows: Sequence[int], count: int, mounting_cost: float
-) -> tuple[list[int], C]:
-    """Take the step of most gain for its cost until the readings are used up."""
-    taken = list(rows)
+    taken, criterion = list[int](), start
     while len(taken) < count and not (taken and criterion.reached):
-        steps = readings.next_steps(taken, count - len(taken))
+        steps = readings.next_steps(taken, int(count) - len(taken))
         if not len(steps.rows):
             break
         gains = criterion.gains(steps)
@@ -223,4 +195,4 @@ def _add_greedily(
             break
         criterion = criterion.with_step(steps, k)
         taken += [row for row in steps.rows[k].tolist() if row >= 0]
-    return taken, criterion
+    return tuple(taken), criterion

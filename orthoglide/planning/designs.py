@@ -160,8 +160,8 @@ def design(
     *,
     noise: float | None = None,
 ) -> Design:
-    """Choose readings before any is taken: those of the largest determinant of the information,
-    greedily, then by exchange of whole mountings.
+    """Choose readings before any is taken, one after the other: those that raise the determinant of
+    the information most.
 
     Args:
         machine: tolerances, dial, and where to linearise.
@@ -178,7 +178,7 @@ def design(
     names = observable_names(machine, pool, machine.catalogue.base if free is None else free)
     readings = LinearReadings.of(machine, pool, names, noise)
     start = CombinationPrecision(np.eye(len(names)) / _LOOSE_TOLERANCES**2, np.eye(len(names)))
-    rows, best = choose(readings, start, count, exchange=True)
+    rows, best = choose(readings, start, count)
     if not rows:
         raise InputError("through this noise no reading says anything: correct it")
     campaign = sheet_from_pool(pool, rows, "design")

@@ -8,6 +8,7 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
@@ -230,8 +231,6 @@ def noncentrality(square: float, threshold: float) -> float:
     """Return the noncentrality at which an effect's evidence exceeds a threshold with the
     probability `POWER`; ``square`` is that of its signature at tolerance.
     """
-    from scipy.special import ndtri
-
     # X is the square of a normal number; its other tail is below 1e-9 at every threshold above 1.
     limit = (2 * threshold + np.log1p(square)) * (1 + square) / square
     return float((np.sqrt(max(limit, 0.0)) + ndtri(POWER)) ** 2)
@@ -243,7 +242,5 @@ def required_separation() -> float:
 
     The difference of chi2 at distance D is normal with mean D^2 and standard deviation 2 D.
     """
-    from scipy.special import ndtri
-
     z = float(ndtri(POWER))
     return z + float(np.sqrt(z**2 + INDISTINGUISHABLE_CHI2))

@@ -24,7 +24,7 @@ from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, ranked
 from orthoglide.parameters import split_campaign
 from orthoglide.planning.choosing import RivalSeparation
-from orthoglide.planning.sheets import tool_sheet
+from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.planning.suggestions import Suggestion
 from orthoglide.result import Cause, Explanation
 from orthoglide.text import MACHINE_OPTION, listed
@@ -161,7 +161,9 @@ def _proposals(problem: Problem) -> Iterator[ReadingProposal]:
     instruments = [i for i in TOOL_OBSERVATIONS.values() if not i.touches]
     longer = [i for i in instruments if i.suggestion_suffix and i.paired]
     for i, length in (*((i, 0.0) for i in instruments), *((i, _EXTRA_LENGTH) for i in longer)):
-        factor = Factor.from_planned(tool_sheet(problem.machine, i, length), problem.machine)
+        factor = Factor.from_planned(
+            instrument_sheet(problem.machine, i.kind, length), problem.machine
+        )
         brief, how = i.instrument_phrase, i.suggestion_suffix
         hint = _SHEET_HINT.format(i.kind, MACHINE_OPTION)
         if length:

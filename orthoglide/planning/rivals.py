@@ -71,13 +71,6 @@ def _parameter_map_and_covariance(
     return weights, np.linalg.inv(information * unit / lack_of_fit**2) * unit
 
 
-def _machine_values(fit: Estimate) -> Values:
-    """Return all parameters of the machine of the last campaign, SI."""
-    problem = fit.problem
-    values = problem.values(problem.last_factor_index, fit.x)
-    return problem.machine.catalogue.machine_values(values)
-
-
 def next_measurements(
     fit: Estimate,
     rivals: Sequence[tuple[str, Values | Estimate]] = (),
@@ -113,7 +106,7 @@ def next_measurements(
     names = tuple(dict.fromkeys(name for each in parts for name in each))
     weights, covariance = _parameter_map_and_covariance(fit, names, lack_of_fit)
     pool = _loaded_pool(fit)
-    linearised = machine.model.linearised(_machine_values(fit), pool, names)
+    linearised = machine.model.linearised(fit.machine.values, pool, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions = list[Suggestion]()
     pairs = [*combinations(range(len(rivals)), 2)] if pairs is None else pairs
@@ -123,7 +116,7 @@ def next_measurements(
             by_name, own = weights, covariance
             if isinstance(source, Estimate):
                 by_name, own = _parameter_map_and_covariance(source, names, lack_of_fit)
-            values = _machine_values(source) if isinstance(source, Estimate) else source
+            values = source.machine.values if isinstance(source, Estimate) else source
             with suppress(InputError):  # else it is a name for people
                 name = f'"{cause_short(machine.catalogue, name)}"'
             candidates.append(Rival(name, values, by_name @ own @ by_name.T))

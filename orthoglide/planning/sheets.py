@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,12 +20,6 @@ from orthoglide.planning.choosing import CombinationPrecision
 from orthoglide.planning.linear import Steps, predicted_problem
 from orthoglide.threads import on_one_thread
 
-KINDS = tuple(sorted(OBSERVATIONS, key=lambda kind: not OBSERVATIONS[kind].on_leg))
-"""Kinds of readings, those of dials on legs first."""
-
-INSTRUMENT_WORDS = {kind: OBSERVATIONS[kind].instrument_phrase for kind in KINDS}
-"""Kinds of readings, and what takes them."""
-
 _DATUM_PRECISION = 1e-6  # precision of a datum, in readings: nearly unknown
 
 MIN_READINGS = 6
@@ -40,7 +33,7 @@ _PLACE_DECIMALS = 4  # decimals of a metre: places that people can type
 def sheets_by_kind(
     machine: Machine, kinds: Sequence[str], count: int | None = None
 ) -> dict[str, Readings]:
-    """Return the readings that instruments would take of a machine, by kind, a sheet each.
+    """Return the sheets of instruments by kind, those at the tool in one sequence.
 
     Args:
         machine: as it is believed to be; its instruments say how well they read.
@@ -53,13 +46,15 @@ def sheets_by_kind(
     """
     check_list("kinds", kinds)
     for kind in kinds:
-        check_choice("instrument", kind, KINDS)
+        check_choice("instrument", kind, OBSERVATIONS)
     sheets = {kind: instrument_sheet(machine, kind) for kind in dict.fromkeys(kinds)}
-    if count is None:
-        return sheets
     of_tool = [sheet for sheet in sheets.values() if sheet.of_tool]
-    chosen = {sheet.name: sheet for sheet in choose_from_sheets(machine, of_tool, count)}
-    return {k: chosen.get(k, s) for k, s in sheets.items() if k in chosen or not s.of_tool}
+    if count is not None:
+        of_tool = choose_from_sheets(machine, of_tool, count)
+    in_sequence = {sheet.name: sheet for sheet in renumber_orders(of_tool)}
+    return {
+        k: in_sequence.get(k, s) for k, s in sheets.items() if k in in_sequence or not s.of_tool
+    }
 
 
 @on_one_thread
@@ -77,17 +72,18 @@ def tool_sheets(
     Raises:
         InputError: as of ``sheets_by_kind``.
     """
-    return blank_tool_sheets(sheets_by_kind(Machine.of(machine), kinds, count).values())
+    sheets = sheets_by_kind(Machine.of(machine), kinds, count).values()
+    return [sheet for sheet in sheets if sheet.of_tool]
 
 
-def blank_tool_sheets(sheets: Iterable[Readings]) -> list[Readings]:
-    """Return the sheets of instruments at the tool without their readings, in one sequence."""
-    of_tool = [sheet for sheet in sheets if sheet.of_tool]
-    return renumber_orders([replace(s, reading=np.full(len(s), np.nan)) for s in of_tool])
+def instrument_sheet(machine: Machine, kind: str, extra_length: float = 0.0) -> Readings:
+    """Return the readings that an instrument would take of a machine, without their values.
 
-
-def instrument_sheet(machine: Machine, kind: str) -> Readings:
-    """Return the readings that an instrument would take of a machine.
+    Args:
+        machine: as it is believed to be.
+        kind: of the readings.
+        extra_length: by which the tool is longer than the machine's, metres; the platform stays
+            higher by as much.
 
     Raises:
         InputError: where dials cannot be set against the machine's legs.
@@ -95,36 +91,21 @@ def instrument_sheet(machine: Machine, kind: str) -> Readings:
     instrument = OBSERVATIONS[kind]
     if instrument.on_leg:
         return protocol(instrument.protocol, machine.geometry)
-    return tool_sheet(machine, instrument)
-
-
-def tool_sheet(machine: Machine, instrument: Observation, extra_length: float = 0.0) -> Readings:
-    """Return the readings that an instrument at the tool would take of a machine.
-
-    Args:
-        machine: as it is believed to be.
-        instrument: that reads.
-        extra_length: by which the tool is longer than the machine's, metres; the platform stays
-            higher by as much.
-    """
     up = np.array([0.0, 0.0, extra_length])
-    points, other_ends, ball = _instrument_points(machine, instrument, up)
+    points, other_ends = _instrument_points(machine, instrument, up)
     axes = np.array(instrument.axes or (0,))
     n = len(points) * len(axes)
     command = np.repeat(_controller_commands(machine, points + up), len(axes), axis=0)
     second = np.full((n, 3), np.nan)
     if other_ends is not None:
         second = _controller_commands(machine, other_ends + up)
-    reading = np.full(n, np.nan)
-    if instrument.about_ball:  # where the ball stands is said by its distance
-        reading = np.linalg.norm(points - ball, axis=1)
     labels = (" ".join(f"{v * 1e3 + 0.0:.0f}" for v in p) for p in points)
     return Readings(
-        name=instrument.kind,
-        setups=(Setup(instrument.kind, kind=instrument.kind, beside=(0.0, 0.0, -extra_length)),),
+        name=kind,
+        setups=(Setup(kind, kind=kind, beside=(0.0, 0.0, -extra_length)),),
         setup=np.zeros(n, dtype=np.int64),
         command=command,
-        reading=reading,
+        reading=np.full(n, np.nan),
         axis=np.tile(axes, len(points)),
         second=second,
         posture=tuple(label for label in labels for _ in axes),
@@ -135,8 +116,8 @@ def tool_sheet(machine: Machine, instrument: Observation, extra_length: float = 
 
 def _instrument_points(
     machine: Machine, instrument: Observation, up: Array
-) -> tuple[Array, Array | None, Array]:
-    """Return points and other ends ``(n, 3)`` within reach ``up`` above, and a ball's centre."""
+) -> tuple[Array, Array | None]:
+    """Return points and, of pairs, other ends ``(n, 3)`` within reach ``up`` above."""
     angle, centre = np.arange(_RING_POINTS) * 2 * np.pi / _RING_POINTS, np.zeros(3)
     outline = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     points, other_ends = instrument.sheet_points(outline)
@@ -147,7 +128,7 @@ def _instrument_points(
     size = _largest_size(machine, lambda r: r * outline + up)
     if other_ends is not None:
         other_ends = np.round(size * other_ends, _PLACE_DECIMALS)
-    return np.round(size * (points + centre), _PLACE_DECIMALS) + 0.0, other_ends, size * centre
+    return np.round(size * (points + centre), _PLACE_DECIMALS) + 0.0, other_ends
 
 
 def _controller_commands(machine: Machine, p: Array) -> Array:
@@ -172,9 +153,7 @@ def _largest_size(machine: Machine, points: Callable[[float], Array]) -> float:
     return 0.9 * low
 
 
-def choose_from_sheets(
-    machine: Machine, sheets: Sequence[Readings], count: int
-) -> tuple[Readings, ...]:
+def choose_from_sheets(machine: Machine, sheets: Sequence[Readings], count: int) -> list[Readings]:
     """Return the ``count`` readings, of sheets of one instrument each, that determine all
     parameters of a machine best.
 
@@ -206,11 +185,11 @@ def choose_from_sheets(
         remaining = np.delete(remaining, cheapest)
     ends = np.cumsum([len(sheet) for sheet in sheets])
     rows_by_sheet = np.split(remaining, np.searchsorted(remaining, ends[:-1]))
-    return tuple(
+    return [
         sheet.subset(rows - end + len(sheet)).in_order()
         for sheet, end, rows in zip(sheets, ends, rows_by_sheet, strict=True)
         if len(rows)
-    )
+    ]
 
 
 def whitened_rows(machine: Machine, sheets: Sequence[Readings]) -> tuple[Array, int, Array]:
