@@ -17,7 +17,12 @@ from orthoglide.explanation.alternative_readings import (
     list_alternative_readings,
     setups_to_reinterpret,
 )
-from orthoglide.explanation.data_faults import ReportedFault, find_data_faults, without_faults
+from orthoglide.explanation.data_faults import (
+    DataFindings,
+    find_data_faults,
+    report_faults,
+    without_faults,
+)
 from orthoglide.explanation.faults import Fault, setups_of
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solve
@@ -25,7 +30,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import read_campaign
 from orthoglide.report.tables import residual_table
-from orthoglide.result import DataRival
+from orthoglide.result import DataFault, DataRival
 from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
@@ -52,8 +57,14 @@ def estimate_of(rows: list[rc.Row], machine: Machine) -> Estimate:
     return identify(campaign_of(rows, machine), machine, method="nested")
 
 
-def found_in(rows: list[rc.Row], machine: Machine) -> tuple[ReportedFault, ...]:
-    return find_data_faults(estimate_of(rows, machine)).data_faults
+def reported(estimate: Estimate, found: DataFindings) -> tuple[DataFault, ...]:
+    tables = [factor.readings for factor in estimate.problem.factors]
+    return tuple(report_faults(estimate, found.faults, tables))
+
+
+def found_in(rows: list[rc.Row], machine: Machine) -> tuple[DataFault, ...]:
+    estimate = estimate_of(rows, machine)
+    return reported(estimate, find_data_faults(estimate))
 
 
 # -- nothing where there is nothing ----------------------------------------------------------------
@@ -64,7 +75,7 @@ def test_deviations_of_the_published_experiments_have_no_faults(number, nominal)
     """The golden results say so of their readings and of the rig's campaigns."""
     file = PUBLISHED / f"experiment{number}-differences.csv"
     estimate = identify(read_campaign(file, nominal.spec), nominal, method="nested")
-    assert find_data_faults(estimate).data_faults == ()
+    assert find_data_faults(estimate).faults == ()
 
 
 @pytest.mark.parametrize(
@@ -186,12 +197,13 @@ def test_a_fault_is_found_and_named(what, machine, nominal):
     case = (FAULTS | MORE_FAULTS)[what]
     rows = rows_of(case.protocol, seed=case.seed, **case.errors)
     spoilt, touched = case.spoil(rows)
-    found = find_data_faults(estimate_of(spoilt, nominal if case.by_nominal else machine))
-    (blunder,) = found.data_faults
+    estimate = estimate_of(spoilt, nominal if case.by_nominal else machine)
+    found = find_data_faults(estimate)
+    (blunder,) = reported(estimate, found)
     assert (blunder.kind, set(blunder.setups)) == (case.kind, set(case.setups))
     assert found.notes == ()
     if case.kind != "exchanged_labels":
-        assert [row for _, row in blunder.rows] == sorted(touched)
+        assert [row for _, row in blunder.rows_in_request] == sorted(touched)
     assert re.search(case.said, blunder.message), blunder.message
 
 
@@ -199,17 +211,19 @@ def test_stuck_dial(machine):
     spoilt, touched = rc.stuck_dial(rows_of("standard"), "yz-0.5")
     (blunder,) = found_in(spoilt, machine)
     assert (blunder.kind, blunder.setups) == ("stuck", ("yz-0.5",))
-    assert len({row for _, row in blunder.rows} ^ set(touched)) <= 1
+    assert len({row for _, row in blunder.rows_in_request} ^ set(touched)) <= 1
 
 
 def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     judge = Machine(replace(machine.spec, controller=Controller((0.01, 0.0, 0.0), (-1, 1, 1))))
     rows = rows_of("standard", seed=2)
     spoilt, touched = rc.wrong_command(rows, posture_of(rows, "y", "max"), 0, 5.0)
-    (blunder,) = found_in(spoilt, judge)
-    assert (blunder.kind, [row for _, row in blunder.rows]) == ("command", touched)
-    assert blunder.fault.drive == 0
-    assert blunder.fault.size == pytest.approx(-5e-3, abs=1e-4)
+    estimate = estimate_of(spoilt, judge)
+    found = find_data_faults(estimate)
+    (blunder,), (fault,) = reported(estimate, found), found.faults
+    assert (blunder.kind, [row for _, row in blunder.rows_in_request]) == ("command", touched)
+    assert fault.drive == 0
+    assert fault.size == pytest.approx(-5e-3, abs=1e-4)
     counted = re.search(r"\(the controller's ([\d.]+) where ([\d.]+)\) is written", blunder.message)
     assert counted, blunder.message
     assert float(counted[1]) - float(counted[2]) == pytest.approx(5.0, abs=0.1)
@@ -270,9 +284,9 @@ def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     problem = estimate_of(rows_of("standard"), machine).problem
     (setup,) = (k for k, s in enumerate(problem.setups) if s.name == "xy-0.5")
     labels = [
-        a.fault
-        for a in list_alternative_readings(problem, setups_to_reinterpret(problem, []))
-        if a.fault.relabels
+        fault
+        for fault in list_alternative_readings(problem, setups_to_reinterpret(problem, []))
+        if fault.relabels
     ]
     tried = {f.label for f in labels if f.kind == "label" and setups_of(problem, f) == [setup]}
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
@@ -285,7 +299,7 @@ def test_several_faults(machine):
     rows = rc.swapped_sign(rows, "yz-0.5").rows
     found = {b.kind: b for b in found_in(rows, machine)}
     assert set(found) == {"outlier", "knocked_stand", "sign"}
-    assert found["outlier"].rows == ((0, 30),)
+    assert found["outlier"].rows_in_request == ((0, 30),)
     assert found["sign"].setups == ("yz-0.5",)
 
 
@@ -314,11 +328,12 @@ def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nomi
     rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
     campaign = read_campaign(path, nominal.spec)
     estimate = identify(campaign, nominal, method="nested")
-    (blunder,) = find_data_faults(estimate).data_faults
+    found = find_data_faults(estimate)
+    (blunder,) = reported(estimate, found)
     assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5', posture max: ")
     assert "measure this place again" in blunder.message
-    assert blunder.lines([campaign]) == {str(path): (22,)}
-    again = solve(without_faults(estimate.problem, [blunder.fault]), method="nested")
+    assert blunder.files == {path.name: (22,)}
+    again = solve(without_faults(estimate.problem, found.faults), method="nested")
     assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
     assert blunder.rms_without < 0.3 * blunder.rms_with
     assert len(again.residuals) == len(estimate.residuals) - 1
@@ -386,9 +401,7 @@ def test_an_error_under_a_misread_dial_is_located(seed, machine):
 def test_a_knocked_setup_becomes_two(machine):
     rows, touched = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.5)
     estimate = estimate_of(rows, machine)
-    clean = without_faults(
-        estimate.problem, [f.fault for f in find_data_faults(estimate).data_faults]
-    )
+    clean = without_faults(estimate.problem, find_data_faults(estimate).faults)
     (campaign,) = clean.campaigns
     assert (len(campaign), len(campaign.setups)) == (len(rows), 7)
     assert [k for k, s in enumerate(campaign.setup) if s == 6] == touched
@@ -403,10 +416,11 @@ def test_rows_are_counted_within_their_campaign(machine):
     first = campaign_of(rows_of("standard", seed=1), machine, "first")
     second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
     estimate = identify([first, second], machine, method="nested")
-    (blunder,) = find_data_faults(estimate).data_faults
-    assert blunder.rows == ((1, 11),)
+    found = find_data_faults(estimate)
+    (blunder,) = reported(estimate, found)
+    assert blunder.rows_in_request == ((1, 11),)
     assert blunder.message.startswith("second, line 13,")
-    clean = without_faults(estimate.problem, [blunder.fault])
+    clean = without_faults(estimate.problem, found.faults)
     assert [len(c) for c in clean.campaigns] == [54, 53]
 
 

@@ -160,7 +160,7 @@ def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign
 def test_nothing_changed(errors: dict[str, float], kind: str) -> None:
     both = [measured(ERRORS | errors, k, f"c{k}", kind=kind) for k in (0, 1)]
     findings = find_data_faults(identify(both, SHEET, method="nested"))
-    assert (findings.data_faults, findings.changes) == ((), ())
+    assert (findings.faults, findings.changes) == ((), ())
 
 
 @pytest.mark.thorough

@@ -107,9 +107,9 @@ def test_from_results_and_files_to_words_and_a_page(visited: Path) -> None:
     assert run("identify", "old.csv", *options, "--out", "before", "--quiet").exit_code == 0
     kept = run("check", "before/result.json", "new.csv", "--out", "out")
     assert kept.exit_code == 0, kept.output
-    assert "- Joint offset of leg x changed from" in kept.stdout
+    assert "- The joint offset of leg x changed from" in kept.stdout
     page = (visited / "out" / "check.html").read_text()
-    assert "Joint offset of leg x changed from" in page
+    assert "The joint offset of leg x changed from" in page
     assert "<svg" in page
     assert re.search(r"changed by 1\.\d+ mm inward", page)
     assert "Confirm the repair" in page

@@ -132,4 +132,8 @@ def test_a_command_mistyped_at_one_of_three_visits_is_no_drift() -> None:
     driven = og.simulate(worn, replace(sheet, command=command), noise=5e-6, seed=2)
     verdict = studied([replace(driven, command=sheet.command)], noise=5e-6)
     (fault,) = verdict.blunders
-    assert (verdict.word, fault.kind, len(fault.rows)) == ("adequate", "command", last.sum())
+    assert (verdict.word, fault.kind, len(fault.rows_in_request)) == (
+        "adequate",
+        "command",
+        last.sum(),
+    )

@@ -168,12 +168,14 @@ def test_states_are_read_from_results_too(tmp_path: Path) -> None:
     verdict = closed()
     (tmp_path / "result.json").write_text(result_text(verdict), encoding="utf-8")
     for state in (tmp_path, tmp_path / "result.json", verdict.request):
-        states = read_states(state, DIALS)
-        assert states.machine.geometry == WORN.geometry
-        assert np.array_equal(states.old[0].reading, DIALS.reading)
-        assert states.new == (DIALS,)
-        assert states.noise is None
-    assert read_states(replace(verdict.request, noise=2e-5), DIALS).noise == 2e-5
+        old, new = read_states(state, DIALS)
+        assert old.machine is new.machine
+        assert old.machine.geometry == WORN.geometry
+        assert np.array_equal(old.given[0].reading, DIALS.reading)
+        assert new.given == (DIALS,)
+        assert old.noise is None
+    old, _ = read_states(replace(verdict.request, noise=2e-5), DIALS)
+    assert old.noise == 2e-5
     assert og.check(verdict, replace(DIALS, name="again")).old == ("standard",)
     other = og.Machine(replace(WORN.spec, geometry=og.Geometry(L=0.32)))
     away = replace(verdict, request=replace(verdict.request, machine=other)).request

@@ -50,7 +50,7 @@ def test_an_instrument_that_was_moved_is_told() -> None:
     assert fault.kind == "moved"
     assert not fault.excluded
     assert "had been moved" in fault.message
-    lines = [int(campaign.line[row]) for _, row in fault.rows]
+    lines = fault.rows
     assert abs(min(lines) - first) < len(campaign) / 20
     assert 0.2 * size < float(fault.message.split("read about ")[1].split()[0]) / 1e3 < 2 * size
     assert verdict.word == "adequate"
@@ -64,7 +64,7 @@ def test_an_instrument_that_drifts_is_one_fault(kind: str) -> None:
     progress = np.arange(len(found)) / (len(found) - 1)
     verdict = studied([replace(found, reading=found.reading + size * progress)], MACHINE)
     (fault,) = verdict.blunders
-    assert (fault.kind, fault.excluded, len(fault.rows)) == (
+    assert (fault.kind, fault.excluded, len(fault.rows_in_request)) == (
         "drifted",
         False,
         len(found),
@@ -116,7 +116,7 @@ def test_a_visit_that_disagrees_with_the_other_is_told() -> None:
     reading = campaign.reading.copy()
     reading[row] += 1.5e-4
     (fault,) = studied([replace(campaign, reading=reading)], MACHINE).blunders
-    assert (fault.kind, fault.rows) == ("outlier", ((0, row),))
+    assert (fault.kind, fault.rows_in_request) == ("outlier", ((0, row),))
     said = rf"line {campaign.line[row]}, .* off the other readings of this place"
     assert re.search(said, fault.message)
 
@@ -137,7 +137,7 @@ def test_two_visits_that_were_exchanged_are_told() -> None:
     assert apart > 2e-4
     reading[[one, other]] = reading[[other, one]]
     found = studied([replace(campaign, reading=reading)], MACHINE).blunders
-    assert {row for fault in found for _, row in fault.rows} == {one, other}
+    assert {row for fault in found for _, row in fault.rows_in_request} == {one, other}
 
 
 @pytest.mark.parametrize(("kind", "step"), [("ballbar", 1e-4), ("incline", 1e-4), ("plate", 5e-5)])
@@ -199,7 +199,7 @@ def test_a_plate_that_moved_half_way_stands_twice() -> None:
     verdict = studied([replace(campaign, reading=campaign.reading + late * 3e-4)], MACHINE)
     (fault,) = verdict.blunders
     assert (fault.kind, verdict.word) == ("moved", "adequate")
-    assert [row for _, row in fault.rows] == np.flatnonzero(late).tolist()
+    assert [row for _, row in fault.rows_in_request] == np.flatnonzero(late).tolist()
     assert not [w for w in verdict.after.warnings if w.kind == "loud"]
 
 

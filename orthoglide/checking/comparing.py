@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 
 from orthoglide.checking.plates import plate_moves
-from orthoglide.checking.states import State, joint_request, read_states, with_distinct_names
+from orthoglide.checking.states import State, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
-from orthoglide.explanation.change import COLUMNS, Change, sigma_of_difference
+from orthoglide.explanation.change import COLUMNS, Change, combination
 from orthoglide.explanation.change_search import visits
 from orthoglide.explanation.recalibration import account_for_changes
-from orthoglide.fit import Problem, assemble, solve
-from orthoglide.fit.unknowns import Unknown, join_unknowns
+from orthoglide.fit import assemble, solve
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations.touched_plates import PlateMove
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import Located
+from orthoglide.result import Located, Request
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
 
@@ -106,7 +105,7 @@ class Check(Framed):
         what = "nothing else" if changed or self.moves or self.places else "nothing"
         within = [d.unchanged_clause for d in unchanged if not d.is_significant]
         beyond = [d.unchanged_clause for d in unchanged if d.is_significant]
-        sentences = [*self.places, *(change.comparison for change in changed), *self.lying]
+        sentences = [*self.places, *(change.what for change in changed), *self.lying]
         if within:
             sentences.append(f"{what} changed beyond its uncertainty: {', '.join(within)}")
         if beyond:
@@ -163,30 +162,33 @@ def check(
     progress = progress or no_progress
     old, new = (s.request if isinstance(s, Verdict) else s for s in (old, new))
     states = read_states(old, new, None if machine is None else Machine.of(machine))
-    machine, noise = states.machine, states.noise if noise is None else noise
-    before, after = with_distinct_names(states.old, states.new)
-    request, past = joint_request(machine, before, after, noise, seed)
+    if noise is None:
+        noise = max((s.noise for s in states if s.noise is not None), default=None)
+    before, after = with_distinct_names(*(state.given for state in states))
+    # A fit has the dials first and assigns readings of the tool to the last state, so old ones are
+    # omitted if the new state has dials.
+    with_dials = not all(one.of_tool for one in after)
+    kept = [one for one in before if not (with_dials and one.of_tool)]
+    request = Request("close-loop", (*kept, *after), states[1].machine, (), noise, seed)
     together = compute_outcome(request, progress)
     # Alternatives of a change make the old state ambiguous, but not the new one.
     closed = compute_outcome(replace(request, given=tuple(after)), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    jointly = not past and len(visits(together.before.problem)) > 1
-    closed_before, gone, come = None, tuple[Located, ...](), tuple[Located, ...]()
+    jointly = len(kept) == len(before) and len(visits(together.before.problem)) > 1
+    differences = _joint_differences(together, new_names)
+    gone = come = tuple[Located, ...]()
     # No parameter describes the change of an error that has no name.
     unnamed = any(one.located or one.word == "unexplained" for one in (together, closed))
     if not jointly or together.changed or unnamed:
         closed_before = compute_outcome(replace(request, given=tuple(before)), progress)
         gone = _located_only_in_first(closed_before, closed)
         come = _located_only_in_first(closed, closed_before)
-        jointly = jointly and not gone and not come
+        if not jointly or gone or come:
+            files = ", ".join(old_names), ", ".join(new_names)
+            differences = _separate_differences(closed_before, closed, files)
     progress(Step("comparing"))
-    if jointly or closed_before is None:
-        differences = tuple(_joint_differences(together, new_names))
-    else:
-        between = ", ".join(old_names), ", ".join(new_names)
-        differences = tuple(_separate_differences(closed_before, closed, between))
     moves = plate_moves(together.after.problem, together.after.x, old_names, new_names)
-    return Check(old_names, new_names, closed, differences, moves, gone, come)
+    return Check(old_names, new_names, closed, tuple(differences), moves, gone, come)
 
 
 def _located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Located, ...]:
@@ -238,9 +240,11 @@ def _joint_differences(together: RunOutcome, later: Collection[str]) -> Iterator
     tables = [
         f.readings if f.on_legs else replace(f.readings, sigma=f.sigma) for f in problem.factors
     ]
+    first_later = next(factor.name for factor in problem.factors if factor.name in later)
+    separate = [f"{name}@{first_later}" for name in names]
     noise = request.noise if request.campaigns else None
-    problem_of_both = assemble(tables, request.machine, names, per_campaign=names, noise=noise)
-    fit = account_for_changes(solve(_with_one_value_per_state(problem_of_both, later)))
+    problem_of_both = assemble(tables, request.machine, names, per_campaign=separate, noise=noise)
+    fit = account_for_changes(solve(problem_of_both))
     catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
     places: dict[Parameter, list[int]] = {}
     for k, unknown in enumerate(fit.names):
@@ -248,15 +252,15 @@ def _joint_differences(together: RunOutcome, later: Collection[str]) -> Iterator
     for name, columns in places.items():
         if len(columns) == 2 and name not in changed:
             before, after = fit.x[columns].tolist()
-            sigma = sigma_of_difference(fit.covariance[np.ix_(columns, columns)])
+            difference, sigma = combination(fit, columns, (-1.0, 1.0))
             yield Change(
-                {name: after - before}, catalogue, before=before, after=after, sigma=sigma,
+                {name: difference}, catalogue, before=before, after=after, sigma=sigma,
                 changed=False,
             )  # fmt: skip
 
 
 def _separate_differences(
-    closed_before: RunOutcome, closed_now: RunOutcome, between: tuple[str, str]
+    closed_before: RunOutcome, closed_now: RunOutcome, files: tuple[str, str]
 ) -> Iterator[Change]:
     """Yield the parameters that both states determine by themselves, with the uncertainty of each,
     because different instruments see different errors.
@@ -281,22 +285,10 @@ def _separate_differences(
             variance += max(float(posterior.covariance[k, k]), alone)
         sigma = float(np.sqrt(variance))
         change = Change(
-            {catalogue.parameter(name): after - before}, catalogue, "", between, before, after,
+            {catalogue.parameter(name): after - before}, catalogue, "", files, before, after,
             sigma, sigma, rivals=rivals.get(name, ()),
         )  # fmt: skip
         yield replace(change, changed=change.is_significant)
-
-
-def _with_one_value_per_state(problem: Problem, later: Collection[str]) -> Problem:
-    """Return the problem with one value of each per-campaign parameter before, and one later."""
-
-    def state(unknown: Unknown) -> tuple[bool, str]:
-        factor = next(k for k, parts in enumerate(unknown.weights) if parts)
-        return problem.factors[factor].name in later, unknown.name.plain
-
-    joined = join_unknowns(problem.unknowns, state)
-    old_first = sorted(joined, key=lambda key: key[0])
-    return replace(problem, unknowns=tuple(joined[key] for key in old_first))
 
 
 def _compared_parameters(closed: RunOutcome) -> list[str]:

@@ -45,15 +45,13 @@ def _touches(
     problem: Problem, values: dict[str, float], names: Collection[str]
 ) -> Iterator[tuple[str, Array]]:
     """Yield each setup with x, y, height and noise of its touches ``(m, 4)``, metres."""
-    for factor in problem.tool_factors:
-        if factor.name not in names:
-            continue
-        place = problem.machine.forward(factor.readings.command)
-        height = factor.predict(problem.machine.model, values) - factor.measured
-        for k, setup in enumerate(factor.readings.setups):
-            rows = (factor.setup == k) & factor.noise.weighted
-            if setup.observation.touches and rows.sum() >= _FEWEST_TOUCHES:
-                yield setup.name, np.column_stack([place[:, :2], height, factor.sigma])[rows]
+    for _, factor, k, setup in problem.iter_tool_setups():
+        rows = (factor.setup == k) & factor.noise.weighted
+        enough = rows.sum() >= _FEWEST_TOUCHES
+        if enough and setup.observation.touches and factor.name in names:
+            place = problem.machine.forward(factor.readings.command)[:, :2]
+            height = factor.predict(problem.machine.model, values) - factor.measured
+            yield setup.name, np.column_stack([place, height, factor.sigma])[rows]
 
 
 def _move(setup: str, old: Array, new: Array, least: float) -> PlateMove:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from orthoglide.effects import Effect
@@ -20,20 +20,10 @@ State = ReadingsOrPath | Sequence[ReadingsOrPath] | Request
 """Readings, a request, or the path of a ``result.json`` or of its folder."""
 
 
-@dataclass(frozen=True)
-class States:
-    """One machine and its readings in two states."""
-
-    machine: Machine  # machine of both states
-    old: tuple[Readings, ...]
-    new: tuple[Readings, ...]
-    noise: float | None  # largest declared standard deviation of a reading, metres
-
-
 def read_states(
     old: State, new: State, given: Machine | None = None, effects: tuple[Effect, ...] = ()
-) -> States:
-    """Return the machine and the readings of both states.
+) -> tuple[Request, Request]:
+    """Return both states as requests of one machine.
 
     Args:
         old: the state before.
@@ -44,33 +34,31 @@ def read_states(
     Raises:
         InputError: if a side has no readings, or the two are of different machines.
     """
-    states = [_load_run(state, effects) for state in (old, new)]
-    requests = [state for state in states if isinstance(state, Request)]
-    nominal = Machine.nominal().with_effects(effects)
-    default = given or next((request.machine for request in requests), nominal)
-    machines = [s.machine if isinstance(s, Request) else default for s in states]
+    loaded = [_load_run(state, effects) for state in (old, new)]
+    of_results = (state.machine for state in loaded if isinstance(state, Request))
+    default = given or next(of_results, Machine.nominal().with_effects(effects))
     before, after = (
-        s.readings if isinstance(s, Request) else readings_of(s, default) for s in states
+        Request("close-loop", state.readings, state.machine, (), state.noise)
+        if isinstance(state, Request)
+        else Request("close-loop", readings_of(state, default), default)
+        for state in loaded
     )
-    names = [
-        str(state) if isinstance(state, str | os.PathLike) else ", ".join(r.name for r in readings)
-        for state, readings in ((old, before), (new, after))
-    ]
-    if given is not None:
+    names, machines = ("the old state", "the new state"), (before.machine, after.machine)
+    if given is None:
+        _check_firmware_numbers(*names, *machines)
+    else:
         for name, machine in zip(names, machines, strict=True):
-            _check_firmware_numbers(name, machine, given.spec.file or "the machine", given)
-        machines = [given, given]
-    _check_firmware_numbers(names[0], machines[0], names[1], machines[1])
-    if machines[0].geometry != machines[1].geometry:
+            _check_firmware_numbers(name, given.spec.file or "the machine", machine, given)
+        before, after = (replace(request, machine=given) for request in (before, after))
+    if before.machine.geometry != after.machine.geometry:
         raise InputError(
-            f"{names[0]} and {names[1]} are of machines of different dimensions "
-            f"({machines[0].spec.title}; {machines[1].spec.title}): check compares two states of "
-            f"one; where the file was corrected since, and no number that the controller counts "
-            f"with, give it for both with --machine (machine=); what other numbers of a controller "
-            f"left, close-loop tells from the new readings"
+            f"both states are of machines of different dimensions ({before.machine.spec.title}; "
+            f"{after.machine.spec.title}): check compares two states of one; where the file was "
+            f"corrected since, and no number that the controller counts with, give it for both "
+            f"with --machine (machine=); what other numbers of a controller left, close-loop tells "
+            f"from the new readings"
         )
-    declared = [request.noise for request in requests if request.noise is not None]
-    return States(machines[0], before, after, max(declared, default=None))
+    return before, replace(after, machine=before.machine)
 
 
 def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
@@ -87,38 +75,18 @@ def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
     return request_of(read_result(path), str(path), effects) if path.suffix == ".json" else state
 
 
-def _check_firmware_numbers(
-    first_name: str, first: Machine, second_name: str, second: Machine
-) -> None:
+def _check_firmware_numbers(name: str, other_name: str, machine: Machine, other: Machine) -> None:
     """Refuse two imports with different numbers of the firmware, because equal commands then mean
     different carriage heights, and pasted numbers would be reported as changes.
     """
-    marks = first.spec.firmware, second.spec.firmware
+    marks = machine.spec.firmware, other.spec.firmware
     if all(marks) and marks[0] != marks[1]:
         raise InputError(
-            f"{first_name} was imported with other numbers of the firmware ({marks[0]}) than "
-            f"{second_name} ({marks[1]}): check compares two states under the same numbers; what "
+            f"{name} was imported with other numbers of the firmware ({marks[0]}) than "
+            f"{other_name} ({marks[1]}): check compares two states under the same numbers; what "
             f"the numbers changed between the visits left, close-loop tells from the new readings "
             f"with the machine.toml of their import"
         )
-
-
-def joint_request(
-    machine: Machine,
-    before: Sequence[Readings],
-    after: Sequence[Readings],
-    noise: float | None,
-    seed: int,
-) -> tuple[Request, bool]:
-    """Return the request of both states, and whether it omits old readings of the tool.
-
-    A fit has the dials first and assigns readings of the tool to the last state, so old ones are
-    omitted if the new state has dials.
-    """
-    with_dials = not all(one.of_tool for one in after)
-    kept = [one for one in before if not (with_dials and one.of_tool)]
-    request = Request("close-loop", (*kept, *after), machine, (), noise, seed)
-    return request, len(kept) < len(before)
 
 
 def with_distinct_names(

@@ -260,12 +260,11 @@ def check(
         from orthoglide.observations.repetition import copied_files
 
         robot = None if machine.path is None else machine.load()
-        pair = read_states(states[0], states[1], robot, machine.effects)
-        noise = pair.noise if noise is None else noise
-        changes = compare(pair.old, pair.new, pair.machine, noise=noise, seed=seed, progress=step)
+        old, new = read_states(states[0], states[1], robot, machine.effects)
+        changes = compare(old, new, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(changes, step)
         answer = changes.line if quiet else wrapped(changes_text(changes))
-    warn(copied_files((*pair.old, *pair.new)))
+    warn(copied_files((*old.given, *new.given)))
     if out is not None and not quiet:
         answer += f"\n\n{_report_line(out, 'check.html')}"
     deliver(answer, files, out)

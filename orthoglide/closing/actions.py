@@ -224,7 +224,7 @@ def _suspect_of_change(change: Change, k: int) -> Suspect:
     name = change.members[k]
     effect = change.catalogue.effect_of(name)
     if change.vague and not k:
-        return Suspect(change.what_without_alternatives, effect.look_at, "")
+        return Suspect(change.member_clauses[0], effect.look_at, "")
     if change.vague or name not in change.summed_members:
         return Suspect(f"or instead {change.member_clauses[k]}", effect.look_at, "")
     is_present = change.is_cause or abs(change.after) > abs(change.before)

@@ -19,7 +19,7 @@ from orthoglide.fit import CrossCheck, Estimate, solve
 from orthoglide.fit.assembling import with_free
 from orthoglide.fit.excitation import excited_effects, unmet_conditions
 from orthoglide.fit.noise_notes import noise_scales
-from orthoglide.fit.reading_tables import fitted_readings, row_indices
+from orthoglide.fit.reading_tables import fitted_readings
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
@@ -28,7 +28,6 @@ from orthoglide.parameters import Parameter
 from orthoglide.planning import Suggestion
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
-    DataFault,
     Fit,
     Noise,
     Possible,
@@ -75,7 +74,6 @@ def _result_values(outcome: RunOutcome) -> Result:
         before=_value_of(Fit, base),
         after=_value_of(Fit, after),
         rms_of_all=outcome.first_fit.scores.rms,
-        blunders=tuple(_data_faults(outcome)),
         changed=tuple(map(_change_value, outcome.changed)),
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
@@ -96,22 +94,6 @@ def _result_values(outcome: RunOutcome) -> Result:
         possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),
     )
-
-
-def _data_faults(outcome: RunOutcome) -> Iterator[DataFault]:
-    """Yield the data faults, with their rows within the readings of the request."""
-    tables = [factor.readings for factor in outcome.first_fit.problem.factors]
-    pairs = zip(tables, outcome.request.given, strict=True)
-    request_rows = [row_indices(part, whole) for part, whole in pairs]
-    for fault in outcome.blunders:
-        lines = fault.lines(tables)
-        yield _value_of(
-            DataFault,
-            fault,
-            rows=tuple(line for rows in lines.values() for line in rows),
-            files={name.rpartition("/")[2]: rows for name, rows in lines.items()},
-            rows_in_request=tuple((k, int(request_rows[k][r])) for k, r in fault.rows),
-        )
 
 
 def _above_rounding(check: CrossCheck) -> CrossCheck:

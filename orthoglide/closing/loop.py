@@ -20,7 +20,12 @@ from orthoglide.explanation import (
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import SLAB_WIDTHS, with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
-from orthoglide.explanation.data_faults import DataFindings, find_data_faults, without_faults
+from orthoglide.explanation.data_faults import (
+    DataFindings,
+    find_data_faults,
+    report_faults,
+    without_faults,
+)
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
@@ -116,9 +121,9 @@ def _search(
     the test for lack of fit and the verdict.
     """
     progress(Step("searching"))
-    problem, data_faults, changes = base_fit.problem, findings.data_faults, findings.changes
-    if data_faults:
-        problem = without_faults(problem, [reported.fault for reported in data_faults])
+    problem, faults, changes = base_fit.problem, findings.faults, findings.changes
+    if faults:
+        problem = without_faults(problem, faults)
     # A changed parameter is a cause only if its value after the change is still significant.
     # Without readings on legs, a change with several members cannot be assigned to one parameter,
     # so it is no cause.
@@ -129,7 +134,7 @@ def _search(
         separate = (n for c in causes for n in c.campaign_parameters)
         problem = replace(problem, per_campaign=(*problem.per_campaign, *separate))
     changed_names = [c.parameter for c in causes]
-    before = solve(problem, method="nested") if data_faults or changes else base_fit
+    before = solve(problem, method="nested") if faults or changes else base_fit
     posterior = full_posterior(before, changed_names, findings.posterior, findings.ambiguous)
     progress(Step("testing"))
     sets = credible_sets(posterior, changed_names)
@@ -141,8 +146,9 @@ def _search(
         sets = replace(sets, located=())
     return RunOutcome(
         **vars(sets), request=request, word=_verdict(sets, fit_test), before=posterior.before,
-        after=posterior.after, residual_test=fit_test, posterior=posterior, blunders=data_faults,
-        fit_with_faults=base_fit if data_faults else None,
+        after=posterior.after, residual_test=fit_test, posterior=posterior,
+        blunders=tuple(report_faults(base_fit, faults, request.given)),
+        fit_with_faults=base_fit if faults else None,
     )  # fmt: skip
 
 

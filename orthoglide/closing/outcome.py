@@ -13,7 +13,6 @@ from orthoglide.closing.picture import picture
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.explanation import CredibleSets, FullPosterior, budget
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.data_faults import ReportedFault
 from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
@@ -22,6 +21,7 @@ from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
+    DataFault,
     HoldOut,
     Identified,
     Judged,
@@ -47,7 +47,7 @@ class RunOutcome(Judged, CredibleSets):
     after: Estimate  # fit at the posterior mean; `before` after `identify`
     residual_test: LackOfFit  # lack of fit of the last fit, without residuals by setup
     posterior: FullPosterior | None = None  # of everything; none after `identify`
-    blunders: tuple[ReportedFault, ...] = ()  # data faults
+    blunders: tuple[DataFault, ...] = ()  # data faults
     changed: tuple[Change, ...] = ()  # parameters that differ between campaigns
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out

@@ -9,7 +9,7 @@ same machine. Whole turns of a dial's hand, which depend on a fit, are listed in
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations, permutations
 
 import numpy as np
@@ -19,6 +19,7 @@ from orthoglide.explanation.faults import (
     Fault,
     Rows,
     factors_and_rows,
+    setups_of,
     weighted_rows,
 )
 from orthoglide.fit import Problem
@@ -38,60 +39,43 @@ _WRITTEN_STEPS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # metres
 RowsBySetup = Mapping[int, Rows]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class AlternativeReadings:
-    """Other data that the readings may stand for: those with a misreading corrected."""
-
-    fault: Fault
-    # log odds before the fit: of the kind, of the digits, and of the density of rescaled readings
-    log_odds: float = 0.0
-
-
 def setups_to_reinterpret(problem: Problem, faults: Sequence[Fault]) -> dict[int, Rows]:
     """Return the weighted rows of each dial's setup in which no misreading was found, in the order
     they were taken.
     """
-    misread = [f.rows for f in faults if f.kind in MISREADING_KINDS]
-    misread_setups = {s for rows in misread for s in problem.setup_of_row[rows].tolist()}
-    weighted = {s: weighted_rows(problem, s) for s in problem.leg_setups if s not in misread_setups}
+    misread = {s for f in faults if f.kind in MISREADING_KINDS for s in setups_of(problem, f)}
+    weighted = {s: weighted_rows(problem, s) for s in problem.leg_setups if s not in misread}
     return {s: rows for s, rows in weighted.items() if len(rows) > 1}
 
 
-def list_alternative_readings(
-    problem: Problem, rows_by_setup: RowsBySetup
-) -> list[AlternativeReadings]:
+def list_alternative_readings(problem: Problem, rows_by_setup: RowsBySetup) -> list[Fault]:
     """Return every sign, unit, label, exchange, shift and stuck run of dials."""
     generators = (_signs, _units, _labels, _exchanges, _shifts, _stuck)
     return [one for kind in generators for one in sharing_prior(kind(problem, rows_by_setup))]
 
 
-def sharing_prior(kind: Iterable[AlternativeReadings]) -> list[AlternativeReadings]:
+def sharing_prior(kind: Iterable[Fault]) -> list[Fault]:
     """Return misreadings of one kind with the prior odds of that kind, which they share equally."""
     alternatives = list(kind)
     share = float(np.log(EXPECTED_COUNT / max(len(alternatives), 1)))
     return [replace(one, log_odds=one.log_odds + share) for one in alternatives]
 
 
-def _signs(_: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _signs(_: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     for rows in rows_by_setup.values():
-        yield AlternativeReadings(Fault("sign", rows, -1.0))
+        yield Fault("sign", rows, -1.0)
 
 
-def _units(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _units(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     for rows in rows_by_setup.values():
-        sigma = _noise(problem, rows)
+        sigma = problem.reading_sd[rows]
         for factor in UNIT_MISTAKES:
             fault = Fault("unit", rows, factor)
             # The rounding of a reading is rescaled with it, so no precision is gained.
             finest = _finest_step(problem.measured[rows])
             noise = np.hypot(sigma, factor * finest / np.sqrt(12))
             density = float(np.sum(np.log(factor * sigma / noise)))
-            yield AlternativeReadings(fault, density + _digit_evidence(problem, fault))
-
-
-def _noise(problem: Problem, rows: Rows) -> Array:
-    """Return the standard deviation of single readings ``(k,)``, metres."""
-    return np.hypot(problem.sigma[rows], problem.shared_rounding_sd[rows])
+            yield replace(fault, log_odds=density + _digit_evidence(problem, fault))
 
 
 def _finest_step(readings: Array) -> float:
@@ -99,37 +83,37 @@ def _finest_step(readings: Array) -> float:
     return next((step for step in _WRITTEN_STEPS if on_grid(readings, step, 1e-3)), 0.0)
 
 
-def _labels(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _labels(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     for s, rows in rows_by_setup.items():
         setup = problem.setups[s]
         for label in set(permutations(range(3), 2)) - {(setup.leg, setup.axis)}:
             if not _is_label_taken(problem, s, label):
-                yield AlternativeReadings(Fault("label", rows, label=label))
+                yield Fault("label", rows, label=label)
 
 
-def _exchanges(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _exchanges(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     for a, b in combinations(rows_by_setup.values(), 2):
         if _campaign_index(problem, a) != _campaign_index(problem, b):
             continue
         rows = np.concatenate([a, b])
         if len(a) == len(b):
-            yield AlternativeReadings(Fault("exchanged_labels", rows, 0.0))
+            yield Fault("exchanged_labels", rows, 0.0)
         # At equal commands in equal order, exchanged labels are the same as exchanged columns.
         commands = problem.dial_column("command")
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
-            yield AlternativeReadings(Fault("exchanged_labels", rows, 1.0))
+            yield Fault("exchanged_labels", rows, 1.0)
 
 
-def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     for rows in rows_by_setup.values():
         for by in (1, -1):
             # The last of readings that stand too late is lost, or else the first.
-            sigma = float(_noise(problem, rows[[-1 if by > 0 else 0]])[0])
+            sigma = float(problem.reading_sd[rows[-1 if by > 0 else 0]])
             odds = float(np.log(sigma * np.sqrt(2 * np.pi) / _LOST_RANGE))
-            yield AlternativeReadings(Fault("shifted", rows, float(by)), odds)
+            yield Fault("shifted", rows, float(by), log_odds=odds)
 
 
-def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[AlternativeReadings]:
+def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     """Yield the longest runs of equal readings over several postures."""
     for rows in rows_by_setup.values():
         commands = problem.dial_column("command")
@@ -140,14 +124,14 @@ def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Alternative
                 continue
             if len(np.unique(commands[run], axis=0)) == 1:
                 continue
-            sigma = _noise(problem, run)
+            sigma = problem.reading_sd[run]
             step = max(float(problem.resolution[run].max()), finest)
             # A stuck dial shows all but the first reading with certainty; a working one with the
             # probability of its rounding step at most.
             odds = float(np.log(np.maximum(sigma * np.sqrt(2 * np.pi) / step, 1.0))[1:].sum())
             if len(run) < len(rows):  # otherwise the first reading is the datum
                 odds += float(np.log(sigma[0] * np.sqrt(2 * np.pi) / _LOST_RANGE))
-            yield AlternativeReadings(Fault("stuck", run), odds)
+            yield Fault("stuck", run, log_odds=odds)
 
 
 def _campaign_index(problem: Problem, rows: Rows) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -12,7 +12,6 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.effects.wording import parameter_words, signed_size
 from orthoglide.fit.estimate import Estimate
-from orthoglide.geometry import Array
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
 from orthoglide.units import Unit
@@ -37,8 +36,8 @@ class Change:
     sizes: Mapping[Parameter, float]
     catalogue: Catalogue  # catalogue of the parameters
     since: str = ""  # name of the first campaign after it; empty since an earlier calibration
-    # files, or names, of the last campaign before and the first after the change
-    between: tuple[str, str] = ("", "")
+    # the last file, or campaign, before it and the first one after it
+    files: tuple[str, str] = ("", "")
     before: float = math.nan  # value before the change, SI
     after: float = math.nan  # value after the change, SI
     sigma: float = math.nan  # standard deviation of the difference, SI
@@ -70,12 +69,6 @@ class Change:
     def unit(self) -> Unit:
         """Unit of the parameter in files."""
         return self.catalogue.effect_of(self.parameter).unit
-
-    @property
-    def files(self) -> tuple[str, str]:
-        """The two file names in ``between``, without folders."""
-        before, after = (path.rpartition("/")[2] for path in self.between)
-        return before, after
 
     @property
     def difference(self) -> float:
@@ -152,37 +145,28 @@ class Change:
     @property
     def what(self) -> str:
         """Clause with the parameter, both values, and the alternatives."""
-        return self._clause(self._alternatives_clause)
-
-    @property
-    def what_without_alternatives(self) -> str:
-        """Clause with the parameter and both values, without the alternatives."""
-        return self._clause("")
-
-    def _clause(self, alternatives: str) -> str:
-        before, after, difference, sigma = self._figures(self.unit.spoken)
-        size = f"by {difference}" if self.vague else f"from {before} to {after}"
-        return f"the {self.words}{alternatives} changed {size} {self.unit.spoken.name} (± {sigma})"
+        return self._clause(*self._other_members, *self.rivals)
 
     @property
     def member_clauses(self) -> tuple[str, ...]:
         """A clause for each member: the first as in the message, the others with their sizes."""
-        return (f"{self.when} {self.what_without_alternatives}", *self._alternatives)
+        return f"{self.when} {self._clause()}", *self._other_members
 
     @property
-    def _alternatives_clause(self) -> str:
-        """The alternatives in brackets; empty if there are none."""
-        alternatives = (*self._alternatives, *self.rivals)
-        return f" (or {', or '.join(alternatives)})" if alternatives else ""
-
-    @property
-    def _alternatives(self) -> tuple[str, ...]:
+    def _other_members(self) -> tuple[str, ...]:
         """A clause for each member but the first, with its size."""
         effect_of = self.catalogue.effect_of
         return tuple(
             f"the {self._words_of(name)} by {signed_size(effect_of(name), self.sizes[name])}"
             for name in self.members[1:]
         )
+
+    def _clause(self, *alternatives: str) -> str:
+        """Return the parameter, alternatives in brackets, and its change."""
+        before, after, difference, sigma = self._figures(self.unit.spoken)
+        others = f" (or {', or '.join(alternatives)})" if alternatives else ""
+        size = f"by {difference}" if self.vague else f"from {before} to {after}"
+        return f"the {self.words}{others} changed {size} {self.unit.spoken.name} (± {sigma})"
 
     @property
     def found_only_now(self) -> str:
@@ -210,16 +194,6 @@ class Change:
         return before, after, signed(self.difference / si, places), f"{self.sigma / si:.{places}f}"
 
     @property
-    def comparison(self) -> str:
-        """Both values and their difference, a clause."""
-        unit = self.unit.spoken
-        before, after, difference, sigma = self._figures(unit)
-        return (
-            f"{self.words}{self._alternatives_clause} changed from {before} to {after} {unit.name}:"
-            f" by {difference} ± {sigma}"
-        )
-
-    @property
     def unchanged_clause(self) -> str:
         """The difference of an unchanged parameter, for a list."""
         _, _, difference, sigma = self._figures(self.unit.spoken)
@@ -233,7 +207,7 @@ class Change:
         places = [k for k, name in enumerate(estimate.names) if name in summed]
         if len(places) < len(summed):
             return self
-        after, sigma_after = sum_and_sigma(estimate, places)
+        after, sigma_after = combination(estimate, places)
         after += self.before if self.parameter.member else 0.0  # its unknown is the change
         before = after - self.difference if self.vague else self.before
         return replace(self, before=before, after=after, sigma_after=sigma_after)
@@ -247,15 +221,15 @@ class Change:
         names = estimate.problem.names
         for name in self.members:
             places = [k for k, n in enumerate(names) if n.plain == name]
-            pair = [[*p] for p in pairwise(places) if names[p[1]] == f"{name}@{self.since}"]
-            if not pair:
+            pair = next((p for p in pairwise(places) if names[p[1]] == name.at(self.since)), None)
+            if pair is None:
                 continue
-            # Before the change, and after.
-            before, after = estimate.x[pair[0]].tolist()
-            covariance = estimate.covariance[np.ix_(pair[0], pair[0])]
+            before, after = estimate.x[[*pair]].tolist()
+            _, sigma_of_fit = combination(estimate, pair, (-1.0, 1.0))
+            _, sigma_after = combination(estimate, pair[1:])
             size, ratio = self.sizes[name], abs(self.sizes[name] / self.sizes[self.parameter])
             size_sigma, between_sets = self.size_sigma * ratio, self.sigma_between_sets * ratio
-            sigma = math.hypot(sigma_of_difference(covariance), between_sets)
+            sigma = math.hypot(sigma_of_fit, between_sets)
             if abs(after - before - size) > SIGNIFICANT_SIGMAS * size_sigma:
                 middle, sigma = (before + after) / 2, size_sigma
                 before, after = middle - size / 2, middle + size / 2
@@ -265,19 +239,19 @@ class Change:
                 before=before,
                 after=after,
                 sigma=sigma,
-                sigma_after=float(np.sqrt(covariance[1, 1])),
+                sigma_after=sigma_after,
                 size_sigma=size_sigma,
                 sigma_between_sets=between_sets,
             )
         return self
 
 
-def sum_and_sigma(estimate: Estimate, places: list[int]) -> tuple[float, float]:
-    """Return the sum of some unknowns, given by their indices, and its standard deviation."""
-    variance = estimate.covariance[np.ix_(places, places)].sum()
-    return float(estimate.x[places].sum()), float(np.sqrt(variance))
-
-
-def sigma_of_difference(covariance: Array) -> float:
-    """Return the standard deviation of the difference of two values, by their covariance."""
-    return math.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1])
+def combination(
+    estimate: Estimate, places: Sequence[int], weights: Sequence[float] | None = None
+) -> tuple[float, float]:
+    """Return a weighted sum of some unknowns, given by their indices, and its standard deviation;
+    without weights their sum.
+    """
+    weight = np.ones(len(places)) if weights is None else np.array(weights)
+    variance = weight @ estimate.covariance[np.ix_(places, places)] @ weight
+    return float(weight @ estimate.x[[*places]]), float(np.sqrt(variance))

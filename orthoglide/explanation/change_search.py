@@ -9,11 +9,12 @@ set stays the same.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
 
+from orthoglide.effects import Catalogue
 from orthoglide.errors import NumericsError
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.linear_model import (
@@ -25,10 +26,10 @@ from orthoglide.explanation.linear_model import (
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.fit import Estimate, Problem, with_effects_freed, with_free
 from orthoglide.fit.excitation import excited_effects
-from orthoglide.fit.least_squares import linearise, normal_equations, nuisances
-from orthoglide.fit.unknowns import Unknown, share_plate_shapes, weight_matrix
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.unknowns import Unknown, share_plate_shapes
 from orthoglide.geometry import Array
-from orthoglide.machine import Machine
+from orthoglide.observations import source
 from orthoglide.parameters import Parameter, split_campaign
 
 _ROUNDS = 5
@@ -52,72 +53,69 @@ INDISTINGUISHABLE_CHI2 = 4.0
 """Rise of chi2 within which two causes are indistinguishable: two sigmas (Wilks)."""
 
 
-@dataclass(frozen=True)
-class ChangeCandidate:
-    """A parameter that may have changed."""
-
-    parameter: Parameter  # with the campaign from which it has another value, or none
-    since: int  # first row after the change
-    weights: Mapping[Parameter, float]  # one tolerance of it, by unknown of the problem, SI
-
-
-def change_candidates(
+def possible_changes(
     problem: Problem, names: Sequence[Parameter], starts: Sequence[tuple[str, int]]
-) -> list[ChangeCandidate]:
-    """Return the parameters that may have changed, each at every start.
+) -> list[Unknown]:
+    """Return the changes of parameters, one at every start, as further unknowns.
 
     Args:
         problem: the problem with these unknowns.
         names: single parameters; without dials, patterns of equal legs and of a plate that several
             setups touched are added.
-        starts: the campaign that begins after a change, or none, and its first row.
+        starts: the campaign that begins after a change, or none, and the index of its factor.
     """
-    machine = problem.machine
-    weights_of = {name: {name: machine.tolerance(name)} for name in names}
+    machine, unknowns = problem.machine, {unknown.name: unknown for unknown in problem.unknowns}
+    weights_of: dict[Parameter, Mapping[Parameter, float]] = {name: {name: 1.0} for name in names}
     if not problem.campaigns:
         setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
         for effect in dict.fromkeys(name.effect for name in names):
             for member, parts in machine.catalogue.structured_members(effect, setups).items():
                 if len(parts) > 1 and set(parts) <= set(names):
-                    weights_of[member] = {n: w * machine.tolerance(n) for n, w in parts.items()}
-    return [
-        ChangeCandidate(name.at(campaign), start, weights)
-        for (name, weights), (campaign, start) in product(weights_of.items(), starts)
-    ]
+                    weights_of[member] = parts
+    changes = list[Unknown]()
+    for (name, weights), (campaign, first) in product(weights_of.items(), starts):
+        tolerance = machine.tolerance(name)
+        moved: list[dict[str, float]] = [{} for _ in problem.factors]
+        for k, (part, weight) in product(range(first, len(moved)), weights.items()):
+            for elementary, share in unknowns[part].weights[k].items():
+                size = share * weight * machine.tolerance(part) / tolerance
+                moved[k][elementary] = moved[k].get(elementary, 0.0) + size
+        changes.append(Unknown(name.at(campaign), tuple(moved), tolerance, 0.0, np.inf))
+    return changes
 
 
 def most_probable_changes(
-    problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], floor: float = 1.0
+    problem: Problem, x: Array, possible: Sequence[Unknown], floor: float = 1.0
 ) -> tuple[Change, ...]:
     """Return the most probable set of changes, the most decisive first; empty if there is none.
 
     Args:
         problem: the machine before and whatever stays, with its prior.
         x: first point of linearisation ``(P,)``.
-        candidates: parameters that may have changed.
+        possible: changes that are considered.
         floor: least chi2 per degree of freedom.
 
     Raises:
         NumericsError: if the machine with these changes cannot be closed.
     """
-    active, sizes, count = frozenset[int](), np.zeros(len(candidates)), len(x)
+    active, sizes, count = frozenset[int](), np.zeros(len(possible)), len(x)
     for _ in range(_ROUNDS):
-        linear, prior_mean, prior_root = _linear_model(problem, x, candidates, sizes, floor)
+        linear, prior_mean, prior_root = _linear_model(problem, x, possible, sizes, floor)
         mixture = Mixture(linear)
         previous, active = active, frozenset(group for group, _ in mixture.best)
         if not active or active == previous:
             break
         mean = mixture.likeliest_mean(mixture.best)
-        sizes = np.where(np.isin(np.arange(len(candidates)), list(active)), mean[count:], 0.0)
+        sizes = np.where(np.isin(np.arange(len(possible)), list(active)), mean[count:], 0.0)
         x = prior_mean + prior_root @ mean[:count]
     return tuple(
-        _change(mixture, member, candidates, problem.machine)
+        _change(mixture, member, possible, problem.machine.catalogue)
         for member in mixture.groups_by_importance
     )
 
 
 def _change(
-    mixture: Mixture, member: int, candidates: Sequence[ChangeCandidate], machine: Machine
+    mixture: Mixture, member: int, possible: Sequence[Unknown], catalogue: Catalogue
 ) -> Change:
     """Return one change of the best state, averaged over the states that contain it.
 
@@ -125,16 +123,15 @@ def _change(
     """
     size, sigma, between_sets = mixture.size_and_spread(member)
     sizes = {member: size} | mixture.alternatives_to(member, INDISTINGUISHABLE_CHI2)
-    names = {k: candidates[k].parameter for k in sizes}
-    since, unit = names[member].campaign, machine.tolerance(names[member])
+    since, unit = possible[member].name.campaign, possible[member].tolerance
     sigma = float(np.hypot(sigma, between_sets)) * unit
     return Change(
         {
-            name.plain: sizes[k] * machine.tolerance(name)
-            for k, name in names.items()
-            if name.campaign == since
+            possible[k].name.plain: of_member * possible[k].tolerance
+            for k, of_member in sizes.items()
+            if possible[k].name.campaign == since
         },
-        machine.catalogue,
+        catalogue,
         since,
         sigma=sigma,
         evidence=mixture.log_weight(mixture.best) - mixture.log_weight(mixture.without(member)),
@@ -145,35 +142,36 @@ def _change(
 
 
 def _linear_model(
-    problem: Problem, x: Array, candidates: Sequence[ChangeCandidate], sizes: Array, floor: float
+    problem: Problem, x: Array, possible: Sequence[Unknown], sizes: Array, floor: float
 ) -> tuple[LinearModel, Array, Array]:
-    """Return the model of a search in which every candidate is a group, linearised at unknowns
+    """Return the model of a search in which every change is a group, linearised at unknowns
     ``(P,)`` of a machine that changed by some sizes ``(c,)``, in tolerances.
 
     The prior is a background of one standard deviation in every state, so that no group explains
     what is uncertain of the earlier machine. Its mean ``(P,)`` and a root of its covariance
     ``(P, P)``, SI, come second and third.
     """
-    linearised = linearise(_with_changes(problem, candidates, sizes), x)
-    nuisance = nuisances(problem, linearised.reading_poses)
-    equations, count, c = normal_equations(problem, linearised, nuisance), len(x), len(candidates)
-    scale = problem.tolerance
-    prior_root = np.asarray(scale[:, None] * np.linalg.inv(equations.prior * scale))
-    prior_mean = np.asarray(prior_root @ equations.target)
-    weights = weight_matrix(problem.names, [one.weights for one in candidates])
-    since = np.array([one.since for one in candidates], dtype=np.intp)
-    after = np.arange(len(linearised.jacobian))[:, None] >= since
-    columns = nuisance.project(linearised.jacobian @ weights * after)
-    residual = equations.residual + equations.jacobian @ (x - prior_mean) + columns @ sizes
-    prior_columns = equations.jacobian @ prior_root
+    count, c, scale = len(x), len(possible), problem.tolerance
+    extended = replace(problem, unknowns=(*problem.unknowns, *possible))
+    unit = extended.tolerance[count:]
+    linearised = linearise(extended, np.concatenate([x, sizes * unit]))
+    nuisance = nuisances(extended, linearised.reading_poses)
+    prior, target = problem.prior_rows
+    prior_root = np.asarray(scale[:, None] * np.linalg.inv(prior * scale))
+    prior_mean = np.asarray(prior_root @ target)
+    jacobian, changes = np.hsplit(nuisance.project(linearised.jacobian), [count])
+    columns = changes * unit
+    residual = nuisance.project(problem.measured - linearised.value)
+    residual += jacobian @ (x - prior_mean) + columns @ sizes
+    prior_columns = jacobian @ prior_root
     directions, singular, _ = np.linalg.svd(prior_columns, full_matrices=False)
     share, projected = singular**2 / (1 + singular**2), directions.T @ residual
     dof = len(problem.measured) - nuisance.unconstrained_count - float(share.sum())
     chi2 = float(residual @ residual - projected @ (share * projected))
     effect_of, groups = problem.machine.catalogue.effect_of, []
-    for k, candidate in enumerate(candidates):
+    for k, change in enumerate(possible):
         # A zero is easily entered, so it changes more often than anything else.
-        chance = 1.0 if effect_of(candidate.parameter).controller == "zero" else 1 / c
+        chance = 1.0 if effect_of(change.name).controller == "zero" else 1 / c
         group = identity_group(f"change.{k}", [count + k], free_form=False)
         groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
     no_columns = np.zeros(count + c, dtype=bool)
@@ -187,46 +185,31 @@ def _linear_model(
     return drop_unseen_directions(linear), prior_mean, prior_root
 
 
-def _with_changes(problem: Problem, candidates: Sequence[ChangeCandidate], sizes: Array) -> Problem:
-    """Return the problem of a machine that changed by some sizes ``(c,)``, now held values."""
-    unknowns = {unknown.name: unknown for unknown in problem.unknowns}
-    held = []
-    for k, (rows, values) in enumerate(zip(problem.factor_rows, problem.held, strict=True)):
-        changed = dict(values)
-        for candidate, size in zip(candidates, sizes, strict=True):
-            if size and rows.start >= candidate.since:
-                for name, weight in candidate.weights.items():
-                    for part, share in unknowns[name].weights[k].items():
-                        changed[part] = changed.get(part, 0.0) + share * weight * float(size)
-        held.append(changed)
-    return replace(problem, held=tuple(held))
-
-
 _OPEN_PRIOR_WIDTH = 3.0
 """Prior width of the machine's effects, in tolerances, with one value at all visits."""
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
-    """Return the first campaign of each visit: name, file, and first row.
+    """Return the first campaign of each visit: name, file, and index of its factor.
 
     Files of the tool belong to one visit until one of their setups occurs again. Visits without a
     common setup cannot be compared.
     """
+    tables, starts = [factor.readings for factor in problem.factors], list[int]()
     if problem.campaigns:
-        starts = {k: (c.name, c.file) for k, c in enumerate(problem.campaigns)}
+        starts += range(len(problem.campaigns))
     else:
-        starts, setups_by_visit = {}, list[set[str]]()
-        for k, factor in enumerate(problem.tool_factors):
+        setups_by_visit = list[set[str]]()
+        for k, factor in enumerate(problem.factors):
             setups = set(factor.setup_names)
             if setups_by_visit and setups_by_visit[-1].isdisjoint(setups):
                 setups_by_visit[-1] |= setups
             else:
                 setups_by_visit.append(setups)
-                starts[k] = factor.name, factor.readings.file
-        if not setups_by_visit or not set.intersection(*setups_by_visit):
+                starts.append(k)
+        if not set.intersection(*setups_by_visit):
             return ()
-    rows = problem.factor_rows
-    return tuple((name, file or name, rows[k].start) for k, (name, file) in starts.items())
+    return tuple((tables[k].name, source(tables[k]), k) for k in starts)
 
 
 def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
@@ -243,13 +226,13 @@ def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
         floor = min(1.0, (problem.noise.resolution / problem.noise.typical) ** 2 / 12)
     try:
         start = full_problem.zero_padded(estimate.x)
-        candidates = _candidates(full_problem, visit_starts)
-        changes = most_probable_changes(full_problem, start, candidates, floor)
+        possible = _changes_between_visits(full_problem, visit_starts)
+        changes = most_probable_changes(full_problem, start, possible, floor)
     except NumericsError:
         return [], 0.0
     pairs = pairwise(visit_starts)
-    between = {name: (before, after) for (_, before, _), (name, after, _) in pairs}
-    found = [replace(change, between=between[change.since]) for change in changes]
+    files = {name: (before, after) for (_, before, _), (name, after, _) in pairs}
+    found = [replace(change, files=files[change.since]) for change in changes]
     return found, sum(change.log_odds_against for change in found)
 
 
@@ -271,10 +254,10 @@ def _with_all_effects(problem: Problem) -> Problem:
     return replace(problem, unknowns=tuple(map(widened, unknowns)))
 
 
-def _candidates(
+def _changes_between_visits(
     full_problem: Problem, visit_starts: Sequence[tuple[str, str, int]]
-) -> list[ChangeCandidate]:
-    """Return every parameter of the machine from every campaign but the first on."""
+) -> list[Unknown]:
+    """Return the changes of every parameter of the machine from every campaign but the first on."""
     catalogue = full_problem.machine.catalogue
     per_campaign = {u.name.plain for u in full_problem.unknowns if u.name.campaign}
 
@@ -285,9 +268,9 @@ def _candidates(
         return of_machine and name not in per_campaign
 
     eligible = [name for name in full_problem.names if may_change(name.plain)]
-    starts = [(campaign, row) for campaign, _, row in visit_starts[1:]]
-    candidates = change_candidates(full_problem, eligible, starts)
-    return [one for one in candidates if may_change(one.parameter.plain)]
+    starts = [(campaign, first) for campaign, _, first in visit_starts[1:]]
+    possible = possible_changes(full_problem, eligible, starts)
+    return [change for change in possible if may_change(change.name.plain)]
 
 
 def with_changes_separate(problem: Problem, changes: Sequence[Change]) -> Problem:

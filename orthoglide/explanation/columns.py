@@ -16,7 +16,6 @@ from orthoglide.explanation.candidates import build_groups, coefficient_spans
 from orthoglide.explanation.compression import MergedRows, WhitenedReadings
 from orthoglide.explanation.fault_columns import (
     FaultColumns,
-    FaultFamily,
     FaultKey,
     command_derivatives,
     fault_families,
@@ -70,9 +69,6 @@ surface; only sizes that a machine may have are considered."""
 _ENOUGH_REPEATS = 10
 """Repeats that determine the noise: on ten degrees of freedom, half or twice the noise has odds of
 one to twenty."""
-
-_SCREENING_BACKGROUNDS = (0.003, 0.1, 1.0)
-"""Tolerances: backgrounds of the screening, since each may hide or imitate a data fault."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -165,10 +161,13 @@ def linearise_full_model(
     if suspected_faults:
         families = fault_families(full_problem, linearised, corrected)
         if isinstance(suspected_faults, bool):
-            suspects = _screened(model, families, corrected)
+            residual = full_problem.measured - model.value_at_zero
+            suspects = screen_data_faults(
+                families, full_problem, model.nuisance, model.rows, residual, model.linear
+            )
         else:
             kinds = {kind for kind, *_ in suspected_faults}
-            suspects = [suspect for family in families if family.fault.kind in kinds
+            suspects = [suspect for family in families if family.kind in kinds
                         for suspect in family if suspect.key(full_problem) in suspected_faults
                         ]  # fmt: skip
         model = _with_data_faults(model, suspects)
@@ -275,19 +274,6 @@ def _scaled_columns(
     blocks = chain([linearised.jacobian * sd], machine_blocks, dial_blocks, [plate_block])
     rows = MergedRows.from_blocks(blocks, len(units), index)
     return rows, units, errors, len(plate_sd)
-
-
-def _screened(
-    model: LinearisedModel, suspects: Sequence[FaultFamily], corrected: Sequence[Fault]
-) -> list[FaultColumns]:
-    """Return the faults that could be active, and those of corrected commands."""
-    problem, linear = model.problem, model.linear
-    residual = problem.measured - model.value_at_zero
-    backgrounds = [np.sqrt(linear.spike(share, share)) for share in _SCREENING_BACKGROUNDS]
-    compact = linear.columns, linear.residual
-    return screen_data_faults(
-        suspects, problem, model.nuisance, model.rows, residual, compact, backgrounds, corrected
-    )
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:

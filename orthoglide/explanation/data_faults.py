@@ -11,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
@@ -26,9 +25,9 @@ from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import (
     MISREADING_KINDS,
     Fault,
-    Kind,
     factors_and_rows,
     fault_message,
+    lines_of,
     setups_of,
 )
 from orthoglide.explanation.full_posterior import (
@@ -46,9 +45,11 @@ from orthoglide.explanation.repeats import (
 )
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise_notes import noise_scales
+from orthoglide.fit.reading_tables import row_indices
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
+from orthoglide.result import DataFault
 
 _ROUNDS = 6
 """Largest number of rounds of search and correction."""
@@ -62,42 +63,10 @@ _OVERSTATED_NOISE = 0.25
 
 
 @dataclass(frozen=True)
-class ReportedFault:
-    """A data fault with its message and its influence on the fit."""
-
-    fault: Fault
-    rows: tuple[tuple[int, int], ...]  # factor, and row within it
-    setups: tuple[str, ...]  # names of the setups concerned
-    message: str  # which file, which lines, what it looks like, what to do
-    # decrease of the least cost (chi2 and priors) by its correction, earlier faults being corrected
-    improvement: float
-    rms_with: float  # of the residuals with it, metres
-    rms_without: float  # of the residuals without it, metres
-
-    @property
-    def kind(self) -> Kind:
-        """Kind of the fault."""
-        return self.fault.kind
-
-    @property
-    def excluded(self) -> bool:
-        """True if the rows are not fitted; otherwise they are corrected."""
-        return self.fault.excluded
-
-    def lines(self, tables: Sequence[Readings]) -> dict[str, tuple[int, ...]]:
-        """Return the lines of the rows by file, or by campaign if it was not read from a file."""
-        lines: dict[str, dict[int, None]] = {}
-        for k, row in self.rows:
-            name = tables[k].file or tables[k].name
-            lines.setdefault(name, {})[int(tables[k].line[row])] = None
-        return {name: tuple(numbers) for name, numbers in lines.items()}
-
-
-@dataclass(frozen=True)
 class DataFindings:
     """Data faults, and changes of the machine between visits."""
 
-    data_faults: tuple[ReportedFault, ...]  # in the order they were found
+    faults: tuple[Fault, ...]  # data faults, in the order they were found
     changes: tuple[Change, ...]  # changed parameters with their values
     # posterior of the readings as given; absent if a fault was found or is possible, if the machine
     # changed, or if the noise was estimated again
@@ -153,7 +122,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
     suspected = any(group.of_data for group in posterior.mixture.linear.groups)
     altered = faults_found or changes or found.ambiguous or suspected
     return DataFindings(
-        _report_faults(estimate, faults_found),
+        tuple(faults_found),
         tuple(change.with_separate_fit(posterior.before) for change in changes),
         posterior if noise_unchanged and not altered else None,
         found.ambiguous,
@@ -286,35 +255,47 @@ def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
     return with_noise_reestimated(problem, outlying) if faults or outlying.any() else problem
 
 
-def _report_faults(estimate: Estimate, faults: Sequence[Fault]) -> tuple[ReportedFault, ...]:
-    """Return the faults with the decrease of the cost as each is corrected in turn."""
-    problem, reported = estimate.problem, list[ReportedFault]()
-    fit, rms = estimate, estimate.scores.rms
+def report_faults(
+    estimate: Estimate, faults: Sequence[Fault], given: Sequence[Readings]
+) -> Iterator[DataFault]:
+    """Yield the data faults as a result reports them, each corrected beside those before it.
+
+    Args:
+        estimate: the fit of the base model to all readings.
+        faults: found in them.
+        given: the readings of the request, of which the fit uses a part.
+    """
+    problem, fit, rms = estimate.problem, estimate, estimate.scores.rms
+    tables = [factor.readings for factor in problem.factors]
+    places = [row_indices(*pair) for pair in zip(tables, given, strict=True)]
     for k, fault in enumerate(faults, 1):
-        cost_with, rms_with = fit.scores.chi2 + fit.scores.prior_chi2, rms
+        cost_with, rms_with = fit.scores.cost, rms
         corrected = with_faults_accounted_for(problem, faults[:k])
         with suppress(NumericsError):  # it may not close until the other faults are corrected
             fit = fit_nested(corrected)
-        kept = _rows_kept(problem, corrected)
+        kept = corrected.weighted | ~problem.weighted
         residual = np.where(kept, fit.residuals, np.nan)
         rms = rms_by_unit(residual, problem.angular).length if kept.any() else 0.0
-        reported.append(
-            ReportedFault(
-                fault, factors_and_rows(problem, fault.rows),
-                tuple(problem.setups[s].name for s in setups_of(problem, fault)),
-                fault_message(problem, fault),
-                cost_with - fit.scores.chi2 - fit.scores.prior_chi2, rms_with, rms,
-            )
-        )  # fmt: skip
-    return tuple(reported)
-
-
-def _rows_kept(problem: Problem, corrected: Problem) -> NDArray[np.bool_]:
-    """Return which rows the correction of faults gave no zero weight ``(n,)``."""
-    weighted, left = (
-        np.concatenate([f.noise.weighted for f in one.factors]) for one in (problem, corrected)
-    )
-    return np.asarray(left | ~weighted)
+        lines = dict.fromkeys(lines_of(problem, fault))  # each once
+        files: dict[str, tuple[int, ...]] = {}
+        for table, line in lines:
+            name = source(tables[table])
+            files[name] = (*files.get(name, ()), line)
+        yield DataFault(
+            kind=fault.kind,
+            rows=tuple(line for _, line in lines),
+            files=files,
+            setups=tuple(problem.setups[s].name for s in setups_of(problem, fault)),
+            message=fault_message(problem, fault),
+            improvement=cost_with - fit.scores.cost,
+            rms_with=rms_with,
+            rms_without=rms,
+            rows_in_request=tuple(
+                (table, int(places[table][row]))
+                for table, row in factors_and_rows(problem, fault.rows)
+            ),
+            excluded=fault.excluded,
+        )
 
 
 def without_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -327,8 +308,8 @@ def without_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
     Raises:
         InputError: if no row of a campaign remains.
     """
-    corrected = with_faults_accounted_for(problem, faults)
-    kept, factors = _rows_kept(problem, corrected), []
+    corrected = with_faults_accounted_for(_with_tolerance_priors(problem), faults)
+    kept, factors = corrected.weighted | ~problem.weighted, []
     for factor, part in zip(corrected.factors, problem.factor_rows, strict=True):
         if not kept[part].any():
             rows = np.arange(part.start, part.stop)
@@ -338,5 +319,4 @@ def without_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:
                 f"used; measure it again ({fault_message(problem, fault)})"
             )
         factors.append(factor.subset(kept[part]))
-    problem = replace(_with_tolerance_priors(problem), factors=tuple(factors))
-    return with_noise_reestimated(problem)
+    return with_noise_reestimated(replace(corrected, factors=tuple(factors)))

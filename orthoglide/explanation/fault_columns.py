@@ -107,26 +107,20 @@ class FaultFamily:
     one for every reading.
     """
 
-    fault: Fault  # the first one
+    kind: Kind
     rows: Rows  # of each fault (N, k)
     columns: Array  # change of these rows by one unit of each coefficient (N, k, q)
     expected_count: float = 1.0  # prior mean number of each, or its frequency relative to others
     drives: Rows | None = None  # of each fault, if its commands are wrong (N,)
+    corrected: bool = False  # whether the readings are linearised at corrected commands
     unit: float = 1.0  # of a coefficient, metres or radians
-
-    @classmethod
-    def of_one(cls, fault: Fault, columns: Array, expected_count: float = 1.0) -> FaultFamily:
-        """Return a single fault and its columns ``(k, q)``."""
-        return cls(fault, fault.rows[None], columns[None], expected_count)
 
     def __len__(self) -> int:
         return len(self.rows)
 
     def __getitem__(self, k: int) -> FaultColumns:
-        fault = self.fault
-        if k > 0:
-            drive = None if self.drives is None else int(self.drives[k])
-            fault = replace(fault, rows=self.rows[k], drive=drive)
+        drive = None if self.drives is None else int(self.drives[k])
+        fault = Fault(self.kind, self.rows[k], drive=drive)
         return FaultColumns(fault, self.columns[k], self.unit, self.expected_count)
 
     def __iter__(self) -> Iterator[FaultColumns]:
@@ -147,21 +141,21 @@ def fault_families(
     families = [
         *_slips(problem),
         *_slips_at_every_visit(problem),
-        *_shifts(problem, linearised.reading_poses),
-        *_drifts(problem, linearised.reading_poses),
+        *_shifts_and_drifts(problem, linearised.reading_poses),
         *_zeroings(problem),
         *_wrong_commands(problem, by_command, corrected),
     ]
-    totals = dict.fromkeys((family.fault.kind for family in families), 0.0)
+    totals = dict.fromkeys((family.kind for family in families), 0.0)
     for family in families:
-        totals[family.fault.kind] += family.expected_count * len(family)
+        totals[family.kind] += family.expected_count * len(family)
     # Dials may be misread besides (`alternative_readings`), which leaves less for these kinds.
     per_kind = _EXPECTED_FAULTS / max(len(totals) + bool(problem.campaigns), 1)
     for k, family in enumerate(families):
-        kind = family.fault.kind
-        unit, expected_count = _UNITS.get(kind, _SLIP_UNIT), per_kind * family.expected_count
-        families[k] = replace(family, columns=family.columns * unit, unit=unit,
-                              expected_count=expected_count / totals[kind])  # fmt: skip
+        unit = _UNITS.get(family.kind, _SLIP_UNIT)
+        expected_count = per_kind * family.expected_count / totals[family.kind]
+        families[k] = replace(
+            family, columns=family.columns * unit, unit=unit, expected_count=expected_count
+        )
     return families
 
 
@@ -172,7 +166,7 @@ def _slips(problem: Problem) -> Iterator[FaultFamily]:
             weighted = part.start + rows[factor.noise.weighted[rows].all(axis=1)]
             if len(weighted):
                 columns = np.tile(np.eye(rows.shape[1]), (len(weighted), 1, 1))
-                yield FaultFamily(Fault("outlier", weighted[0]), weighted, columns)
+                yield FaultFamily("outlier", weighted, columns)
 
 
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
@@ -186,21 +180,30 @@ def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
         rows = weighted_rows(problem, setup)
         for visits in _grouped(posture[rows]):
             if 1 < visits.shape[1] < len(rows):
-                fault, columns = Fault("outlier", rows[visits[0]]), np.ones((*visits.shape, 1))
-                yield FaultFamily(fault, rows[visits], columns, FREE_FORM_PRIOR)
+                columns = np.ones((*visits.shape, 1))
+                yield FaultFamily("outlier", rows[visits], columns, FREE_FORM_PRIOR)
 
 
-def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[FaultFamily]:
+def _shifts_and_drifts(
+    problem: Problem, reading_poses: tuple[ReadingPoses, ...]
+) -> Iterator[FaultFamily]:
     """Yield a shift of all readings of a dial, or of an instrument at the tool, from some moment
-    on.
+    on, and a drift of each instrument at the tool: its nuisances change evenly over its readings.
+
+    Dials have an effect of the catalogue for a drift.
     """
-    order = np.concatenate([f.readings.order for f in problem.factors])
-    for number in range(len(problem.setups)):
-        rows = weighted_rows(problem, number)
+    order = problem.column("order")
+    for number, setup in enumerate(problem.setups):
+        if not len(rows := weighted_rows(problem, number)):
+            continue
+        k, _ = factors_and_rows(problem, rows[:1])[0]
+        factor, in_factor = problem.factors[k], rows - problem.factor_rows[k].start
         kind: Kind = "knocked_stand"
         columns = np.ones((len(rows), 1))
-        if number not in problem.leg_setups and len(rows):
-            columns, kind = _instrument_columns(problem, rows, reading_poses), "moved"
+        if not factor.on_legs:
+            kind, nuisances = "moved", factor.nuisances(reading_poses[k]).columns
+            nuisances = nuisances[:, nuisances[in_factor].any(axis=0)]
+            columns = nuisances[in_factor] / np.abs(nuisances).max(axis=0)
         width = columns.shape[1]
         # Fewer readings on either side are slips, or do not determine the datum.
         cuts = [
@@ -208,47 +211,25 @@ def _shifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterat
             if order[rows[cut]] != order[rows[cut - 1]]
         ]  # fmt: skip
         for cut in cuts[:: max(len(cuts) // _MOST_SHIFTS, 1)]:
-            yield FaultFamily.of_one(Fault(kind, rows[cut:]), columns[cut:])
-
-
-def _drifts(problem: Problem, reading_poses: tuple[ReadingPoses, ...]) -> Iterator[FaultFamily]:
-    """Yield a drift of each instrument at the tool: its nuisances change evenly over its readings.
-
-    Dials have an effect of the catalogue for it.
-    """
-    progress = np.concatenate([f.progress for f in problem.factors])
-    first = len(problem.leg_setups)
-    for number, (_, factor, _, setup) in enumerate(problem.iter_tool_setups(), first):
-        rows = weighted_rows(problem, number)
-        if len(rows) and setup.name not in factor.drifting:
-            columns = _instrument_columns(problem, rows, reading_poses)
-            # So many readings determine both, the nuisances and their rates, if there are any.
-            if len(rows) > 2 * columns.shape[1] > 0:
-                yield FaultFamily.of_one(Fault("drifted", rows), columns * progress[rows, None])
-
-
-def _instrument_columns(
-    problem: Problem, rows: Rows, reading_poses: tuple[ReadingPoses, ...]
-) -> Array:
-    """Return the readings of an instrument at the tool by its nuisances ``(k, q)``."""
-    (k, _), *_ = factors_and_rows(problem, rows)
-    rows = rows - problem.factor_rows[k].start
-    nuisances = problem.factors[k].nuisances(reading_poses[k]).columns
-    nuisances = nuisances[:, nuisances[rows].any(axis=0)]
-    return np.asarray(nuisances[rows] / np.abs(nuisances).max(axis=0))
+            yield FaultFamily(kind, rows[None, cut:], columns[None, cut:])
+        # So many readings determine both, the nuisances and their rates, if there are any.
+        determined = len(rows) > 2 * width > 0
+        if determined and not factor.on_legs and setup.name not in factor.drifting:
+            drift = columns * factor.progress[in_factor, None]
+            yield FaultFamily("drifted", rows[None], drift[None])
 
 
 def _zeroings(problem: Problem) -> Iterator[FaultFamily]:
     """Yield a separate datum at each repeat, for each dial and for all with repeats together."""
     setup = problem.setup_of_row
-    repeat = np.concatenate([f.readings.repeat for f in problem.factors])
+    repeat = problem.column("repeat")
     for part in problem.leg_rows:
         weighted = [weighted_rows(problem, s) for s in np.unique(setup[part])]
         dials = [later for rows in weighted if len(later := _later_repeats(problem, rows))]
         for rows in [*dials, np.concatenate(dials)] if len(dials) > 1 else dials:
             datums = split_by_datum("zeroed", rows, setup, repeat)
             columns = np.stack([np.isin(rows, datum) for datum in datums], axis=1)
-            yield FaultFamily.of_one(Fault("zeroed", rows), columns.astype(float))
+            yield FaultFamily("zeroed", rows[None], columns[None].astype(float))
 
 
 def _later_repeats(problem: Problem, rows: Rows) -> Rows:
@@ -306,8 +287,7 @@ def _wrong_commands(
     # Corrections separate a visit from the other visits to its posture, so they are undone.
     written = with_faults_corrected(problem, [replace(f, size=-f.size) for f in corrected])
     posture, visit = _group_numbers(written, *_POSTURE), _group_numbers(written, *_VISIT)
-    unweighted = ~np.concatenate([f.noise.weighted for f in problem.factors])
-    posture[unweighted] = visit[unweighted] = -1
+    posture[~problem.weighted] = visit[~problem.weighted] = -1
     posture_size = _group_sizes(posture)
     visit[posture_size == _group_sizes(visit)] = -1  # the only visit to its posture
     is_part = [len(f.rows) < posture_size[f.rows[0]] for f in corrected]
@@ -315,19 +295,24 @@ def _wrong_commands(
         posture[fault.rows] = visit[fault.rows] = -1
     for one_visit, group in ((False, posture), (True, visit)):
         families = [
-            FaultFamily.of_one(fault, by_command[fault.rows, fault.drive][:, None])
+            _commands(by_command, fault.rows[None], np.array([fault.drive]), corrected=True)
             for fault, part in zip(corrected, is_part, strict=True) if part == one_visit
         ]  # fmt: skip
         for each in _grouped(group):
             visits = each[group[each[:, 0]] >= 0]
             if len(visits) and visits.shape[1] > 1:
                 rows = np.repeat(visits, len(LEGS), axis=0)
-                drives = np.tile(np.arange(len(LEGS)), len(visits))
-                columns = by_command[rows, drives[:, None]][..., None]
-                first = Fault("command", rows[0], drive=0)
-                families.append(FaultFamily(first, rows, columns, drives=drives))
+                families.append(_commands(by_command, rows, np.tile(range(len(LEGS)), len(visits))))
         count = sum(map(len, families))
         yield from (replace(family, expected_count=1 / count) for family in families)
+
+
+def _commands(
+    by_command: Array, rows: Rows, drives: Rows, *, corrected: bool = False
+) -> FaultFamily:
+    """Return wrong commands of rows ``(N, k)``, each of one drive ``(N,)``."""
+    columns = by_command[rows, drives[:, None]][..., None]
+    return FaultFamily("command", rows, columns, drives=drives, corrected=corrected)
 
 
 def _group_sizes(numbers: Rows) -> Rows:

@@ -59,6 +59,8 @@ class Fault:
     # zeroed: each datum less that of the first repeat, metres; turns, drifted: excess of each row,
     # metres or radians
     sizes: tuple[float, ...] = ()
+    # of a misreading before the fit: of its kind, the digits, and the density of rescaled readings
+    log_odds: float = 0.0
     # what the readings do not rule out either: other drives, and a fault of another kind
     alternatives: tuple[Fault, ...] = ()
 
@@ -80,10 +82,8 @@ def setups_of(problem: Problem, fault: Fault) -> list[int]:
 
 def weighted_rows(problem: Problem, setup: int) -> Rows:
     """Return the stacked rows of a setup that have any weight, in the order they were taken."""
-    weighted = np.concatenate([f.noise.weighted for f in problem.factors])
-    order = np.concatenate([f.readings.order for f in problem.factors])
-    rows = np.flatnonzero((problem.setup_of_row == setup) & weighted)
-    return np.asarray(rows[np.argsort(order[rows], kind="stable")])
+    rows = np.flatnonzero((problem.setup_of_row == setup) & problem.weighted)
+    return np.asarray(rows[np.argsort(problem.column("order")[rows], kind="stable")])
 
 
 def split_by_datum(kind: Kind, rows: Rows, setup: Rows, repeat: Rows) -> list[Rows]:
@@ -144,6 +144,109 @@ def _row_label(problem: Problem, places: tuple[tuple[int, int], ...]) -> str:
     return f", {readings.kind[row] if readings.paired[row] else 'posture'} {label}"
 
 
+def _clause(problem: Problem, fault: Fault) -> str:
+    """Return what a fault looks like, and what to do about it."""
+    k, row, readings, setup = _readings_and_setup(problem, fault)
+    unit, size = setup.observation.unit, compact(fault.size * 1e3, 2)
+    known = problem.factors[k].approach_known(int(readings.setup[row]))
+    lost_motion = "" if known else _LOST_MOTION
+    match fault.kind:
+        case "outlier":
+            return _outlier_clause(problem, fault)
+        case "zeroed":
+            return _zeroed_clause(problem, fault)
+        case "knocked_stand":
+            shift = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
+            return (
+                f"from here on all readings of the setup are {shift} than before, as if the dial's "
+                f"stand had been knocked: give these rows a setup name of their own, or measure "
+                f"the setup again"
+            )
+        case "moved":
+            return (
+                f"from here on the same places read about {size} {unit} otherwise than before, as "
+                f"if the instrument, or what it stands on, had been moved, or drifted: give the "
+                f"rows from there on a setup name of their own, as is done here, or measure the "
+                f"setup again{lost_motion}"
+            )
+        case "drifted":
+            return (
+                f"from the first of these readings to the last, what the same places read changes "
+                f"evenly by about {size} {unit}, as if the instrument, or what it stands on, crept "
+                f"or warmed: its rate is fitted here; let it settle and measure the setup again"
+                f"{lost_motion}"
+            )
+        case "command":
+            return _command_clause(problem, fault)
+        case "scatter":
+            place, remedy = "posture", "declare the noise with --noise"
+            if readings.of_tool:
+                touches = setup.observation.touches
+                place = "place, or to places beside it," if touches else "place"
+                remedy = (
+                    f"give repeatability in the machine file under [instrument.{setup.kind}]"
+                    f"{lost_motion}"
+                )
+            return (
+                f"visits to the same {place} scatter by {fault.size * 1e3:.2g} {unit}, which is no "
+                f"noise of such an instrument: rows were exchanged, the readings have another "
+                f"unit, or something is loose; put it right, or {remedy}"
+            )
+        case _:
+            return _misreading_clause(problem, fault, setup)
+
+
+def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
+    """Return what the readings of a setup stand for, and what to do about it."""
+    count = len(fault.rows)
+    match fault.kind:
+        case "sign":
+            other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+            return (
+                f"the readings fit with the opposite sign, so the dial counted the other way: look "
+                f"at which way its hand turns and put direction {other} instead of "
+                f"{setup.direction}"
+            )
+        case "label":
+            leg, axis = (LEGS[k] for k in fault.label)
+            return (
+                f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
+                f"where it stood, and correct the leg or the direction of the setup"
+            )
+        case "exchanged_labels":
+            return (
+                "the readings of these two fit once they are exchanged, so the two dials or their "
+                "columns were mixed up: check which dial stood where and exchange the setups' "
+                "labels"
+            )
+        case "shifted":
+            lateness, direction = ("late", "up") if fault.size > 0 else ("early", "down")
+            return (
+                f"the readings fit a row farther {direction}, so they were written a row too "
+                f"{lateness}: move them {direction} by one, and measure the one that is lost again"
+            )
+        case "unit":
+            return (
+                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
+                f"be {UNIT_MISTAKES[fault.size]}: put this setup into millimetres"
+            )
+        case "turns":
+            extremes = sorted({min(fault.sizes), max(fault.sizes)})
+            range_words = " to ".join(compact(each * 1e3, plus=True) for each in extremes)
+            return (
+                f"{f'these {count} readings are' if count > 1 else 'this reading is'} "
+                f"{range_words} mm off the setup's others, in whole turns of a hand that shows "
+                f"{fault.size * 1e3:.3g} mm by each: read the small hand, which counts them, and "
+                f"correct or drop these rows"
+            )
+        case _:  # stuck
+            return (
+                f"the dial shows {compact(problem.measured[fault.rows[0]] * 1e3, 6)} mm in {count} "
+                f"readings one after the other while the machine moves: free the plunger and "
+                f"measure these rows again"
+            )
+
+
 def _outlier_clause(problem: Problem, fault: Fault) -> str:
     """Return how far off a reading or a point is, and what to look up."""
     _, row, readings, setup = _readings_and_setup(problem, fault)
@@ -174,127 +277,9 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
     )
 
 
-def _clause(problem: Problem, fault: Fault) -> str:
-    """Return what a fault looks like, and what to do about it."""
-    match fault.kind:
-        case "outlier":
-            return _outlier_clause(problem, fault)
-        case "zeroed":
-            return _zeroed_clause(problem, fault)
-        case "knocked_stand":
-            shift = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
-            return (
-                f"from here on all readings of the setup are {shift} than before, as if the dial's "
-                f"stand had been knocked: give these rows a setup name of their own, or measure "
-                f"the setup again"
-            )
-        case "command":
-            return _command_clause(problem, fault)
-        case "sign" | "label" | "exchanged_labels":
-            return _label_clause(problem, fault)
-        case "shifted":
-            lateness, direction = ("late", "up") if fault.size > 0 else ("early", "down")
-            return (
-                f"the readings fit a row farther {direction}, so they were written a row too "
-                f"{lateness}: move them {direction} by one, and measure the one that is lost again"
-            )
-        case "unit":
-            return (
-                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {UNIT_MISTAKES[fault.size]}: put this setup into millimetres"
-            )
-        case "turns":
-            return _turns_clause(fault)
-        case "scatter":
-            return _scatter_clause(problem, fault)
-        case "moved":
-            *_, setup = _readings_and_setup(problem, fault)
-            size = f"{compact(fault.size * 1e3, 2)} {setup.observation.unit}"
-            return (
-                f"from here on the same places read about {size} otherwise than before, as if the "
-                f"instrument, or what it stands on, had been moved, or drifted: give the rows from "
-                f"there on a setup name of their own, as is done here, or measure the setup again"
-                f"{_lost_motion_clause(problem, fault)}"
-            )
-        case "drifted":
-            *_, setup = _readings_and_setup(problem, fault)
-            size = f"{compact(fault.size * 1e3, 2)} {setup.observation.unit}"
-            return (
-                f"from the first of these readings to the last, what the same places read changes "
-                f"evenly by about {size}, as if the instrument, or what it stands on, crept or "
-                f"warmed: its rate is fitted here; let it settle and measure the setup again"
-                f"{_lost_motion_clause(problem, fault)}"
-            )
-        case "stuck":
-            reading = compact(problem.measured[fault.rows[0]] * 1e3, 6)
-            return (
-                f"the dial shows {reading} mm in {len(fault.rows)} readings one after the other "
-                f"while the machine moves: free the plunger and measure these rows again"
-            )
-
-
-def _scatter_clause(problem: Problem, fault: Fault) -> str:
-    """Return by how much visits to one place differ, and what to do."""
-    k, *_, setup = _readings_and_setup(problem, fault)
-    instrument, size = setup.observation, f"{fault.size * 1e3:.2g}"
-    if problem.factors[k].on_legs:
-        place, remedy = "posture", "declare the noise with --noise"
-    else:
-        place = "place, or to places beside it," if instrument.touches else "place"
-        remedy = (
-            f"give repeatability in the machine file under [instrument.{instrument.kind}]"
-            f"{_lost_motion_clause(problem, fault)}"
-        )
-    return (
-        f"visits to the same {place} scatter by {size} {instrument.unit}, which is no noise of "
-        f"such an instrument: rows were exchanged, the readings have another unit, or something is "
-        f"loose; put it right, or {remedy}"
-    )
-
-
-def _lost_motion_clause(problem: Problem, fault: Fault) -> str:
-    """Return the lost motion clause if the approach of the setup was not recorded, else nothing."""
-    k, row, readings, _ = _readings_and_setup(problem, fault)
-    return "" if problem.factors[k].approach_known(int(readings.setup[row])) else _LOST_MOTION
-
-
-def _label_clause(problem: Problem, fault: Fault) -> str:
-    """Return which setup the readings fit: with the opposite sign, another leg, or another dial."""
-    if fault.kind == "sign":
-        *_, setup = _readings_and_setup(problem, fault)
-        other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
-        return (
-            f"the readings fit with the opposite sign, so the dial counted the other way: look at "
-            f"which way its hand turns and put direction {other} instead of {setup.direction}"
-        )
-    if fault.kind == "label":
-        leg, axis = (LEGS[k] for k in fault.label)
-        return (
-            f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
-            f"where it stood, and correct the leg or the direction of the setup"
-        )
-    return (
-        "the readings of these two fit once they are exchanged, so the two dials or their columns "
-        "were mixed up: check which dial stood where and exchange the setups' labels"
-    )
-
-
-def _turns_clause(fault: Fault) -> str:
-    """Return by how much readings are off, and which hand to read."""
-    extremes = sorted({min(fault.sizes), max(fault.sizes)})
-    range_words = " to ".join(compact(size * 1e3, plus=True) for size in extremes)
-    count = len(fault.rows)
-    subject = f"these {count} readings are" if count > 1 else "this reading is"
-    return (
-        f"{subject} {range_words} mm off the setup's others, in whole turns of a hand that shows "
-        f"{fault.size * 1e3:.3g} mm by each: read the small hand, which counts them, and correct "
-        f"or drop these rows"
-    )
-
-
 def _zeroed_clause(problem: Problem, fault: Fault) -> str:
     """Return by how much the datum of each repeat differs from that of the first."""
-    repeat = np.concatenate([f.readings.repeat for f in problem.factors])
+    repeat = problem.column("repeat")
     by_setup: dict[str, list[str]] = {}
     datums = split_by_datum("zeroed", fault.rows, problem.setup_of_row, repeat)
     for rows, size in zip(datums, fault.sizes, strict=True):

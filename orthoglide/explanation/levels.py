@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from orthoglide.errors import InputError
-from orthoglide.explanation.alternative_readings import AlternativeReadings, sharing_prior
+from orthoglide.explanation.alternative_readings import sharing_prior
 from orthoglide.explanation.faults import Fault, weighted_rows
 from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.ranked_readings import likeliest_misreading
@@ -35,7 +35,7 @@ def check_levels(estimate: Estimate) -> None:
     if not setups:
         return
     interpretations = _interpretations(problem)
-    alternatives = sharing_prior(AlternativeReadings(fault) for fault in interpretations.values())
+    alternatives = sharing_prior(interpretations.values())
     rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
     found = likeliest_misreading(
         estimate, posterior_at_base_fit(estimate), alternatives, rows_by_setup,
@@ -44,7 +44,8 @@ def check_levels(estimate: Estimate) -> None:
     if found is not None:
         files = [source(f.readings) for f in problem.factors for _ in f.readings.setups]
         names = "; ".join(f"{files[s]}, setup {problem.setups[s].name!r}" for s in setups)
-        clause = next(clause for clause, fault in interpretations.items() if fault is found)
+        pairs = zip(interpretations, alternatives, strict=True)
+        clause = next(clause for clause, fault in pairs if fault is found)
         raise InputError(
             f"{names}: the readings of the level have a far likelier machine, and fit it, {clause}"
         )
@@ -55,7 +56,7 @@ def _interpretations(problem: Problem) -> dict[str, Fault]:
     do.
     """
     rows = np.flatnonzero(problem.angular)
-    axis = np.concatenate([f.readings.axis for f in problem.factors])[rows]
+    axis = problem.column("axis")[rows]
     interpretations = {
         "with the opposite sign: look which way it counts, right-handed about x and y, and put -x "
         "and -y as directions": Fault("sign", rows, -1.0),

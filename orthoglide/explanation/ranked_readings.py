@@ -14,11 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from orthoglide.errors import NumericsError
-from orthoglide.explanation.alternative_readings import (
-    EXPECTED_COUNT,
-    AlternativeReadings,
-    RowsBySetup,
-)
+from orthoglide.explanation.alternative_readings import EXPECTED_COUNT, RowsBySetup
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
@@ -53,7 +49,7 @@ def fit_nested(problem: Problem) -> Estimate:
 def likeliest_misreading(
     base: Estimate,
     posterior: FullPosterior,
-    alternatives: Sequence[AlternativeReadings],
+    alternatives: Sequence[Fault],
     rows_by_setup: RowsBySetup,
     other_evidence: float = -np.inf,
     background_scales: Sequence[Scales] = BACKGROUND_SCALES,
@@ -76,22 +72,22 @@ def likeliest_misreading(
         if posterior.evidence + log_odds + _MISREADING_MARGIN < best[0]:
             break
         try:
-            corrected = with_faults_corrected(base.problem, [alternative.fault])
+            corrected = with_faults_corrected(base.problem, [alternative])
             other = posterior_at_base_fit(fit_nested(corrected))
         except NumericsError:
             continue
         if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
-            candidate = other.evidence + alternative.log_odds, alternative.fault
+            candidate = other.evidence + alternative.log_odds, alternative
             best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
     return best[1]
 
 
 def _rank(
     posterior: FullPosterior,
-    alternatives: Sequence[AlternativeReadings],
+    alternatives: Sequence[Fault],
     rows_by_setup: RowsBySetup,
     background_scales: Sequence[Scales],
-) -> list[tuple[float, AlternativeReadings]]:
+) -> list[tuple[float, Fault]]:
     """Return the alternative readings that fit better than the readings as they stand, the
     likeliest first, each after its log odds.
     """
@@ -103,7 +99,7 @@ def _rank(
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, dials)]
     corrected, lost = zip(
-        *(corrected_readings(problem, a.fault) for a in alternatives), strict=True
+        *(corrected_readings(problem, fault) for fault in alternatives), strict=True
     )
     all_changes = np.column_stack([problem.measured, *corrected]) - problem.measured[:, None]
     by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
@@ -117,10 +113,9 @@ def _rank(
         with_faults = _likelihoods(model_with_faults, background_scales)
         each = [w.log_likelihood(all_changes) for w in with_faults]
         as_read, *scores = np.maximum([as_read, *scores], np.logaddexp.reduce(each) - cost)
-    for k, alternative in enumerate(alternatives):
-        fault = alternative.fault
+    for k, fault in enumerate(alternatives):
         if fault.relabels:
-            bound = alternative.log_odds + sum(bounds[s] for s in setups_of(problem, fault))
+            bound = fault.log_odds + sum(bounds[s] for s in setups_of(problem, fault))
             if bound > 0:
                 scores[k] = _relabelled_log_likelihood(model, likelihoods, fault)
             else:
@@ -188,7 +183,7 @@ _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
 
 def turn_alternatives(
     problem: Problem, likelihoods: Sequence[FullLikelihood], rows_by_setup: RowsBySetup
-) -> list[AlternativeReadings]:
+) -> list[Fault]:
     """Return the likeliest whole turns by which readings of each setup, or of all, are off.
 
     Args:
@@ -196,7 +191,7 @@ def turn_alternatives(
         likelihoods: their likelihood under several backgrounds.
         rows_by_setup: rows of each setup without a misreading.
     """
-    found: dict[bytes, AlternativeReadings] = {}
+    found: dict[bytes, Fault] = {}
     least, most = _DIVISION_RANGE
     steps = {s: float(problem.resolution[rows].max()) for s, rows in rows_by_setup.items()}
     for likelihood in likelihoods:
@@ -230,14 +225,12 @@ def _are_turns(off: Array, station: Rows) -> bool:
     return bool(np.count_nonzero(off) > 1 and steps > 1 and 2 * constant >= len(affected))
 
 
-def _turn_alternative(
-    problem: Problem, dials: RowsBySetup, off: Array, turn: float
-) -> AlternativeReadings:
+def _turn_alternative(problem: Problem, dials: RowsBySetup, off: Array, turn: float) -> Fault:
     affected = [rows for rows in dials.values() if off[rows].any()]
     log_count = sum(_log_count_of_turns(problem, rows, off[rows], turn) for rows in affected)
     all_rows = np.flatnonzero(off)
-    fault = Fault("turns", all_rows, turn, sizes=tuple(off[all_rows].tolist()))
-    return AlternativeReadings(fault, float(np.log(EXPECTED_COUNT)) - log_count)
+    log_odds, sizes = float(np.log(EXPECTED_COUNT)) - log_count, tuple(off[all_rows].tolist())
+    return Fault("turns", all_rows, turn, sizes=sizes, log_odds=log_odds)
 
 
 def _whole_turns(residual: Array, turn: float) -> Array:

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from orthoglide.explanation.change import Change, sum_and_sigma
+from orthoglide.explanation.change import Change, combination
 from orthoglide.explanation.change_search import (
     SLAB_WIDTHS,
-    change_candidates,
     most_probable_changes,
+    possible_changes,
 )
 from orthoglide.fit.assembling import with_free
 from orthoglide.fit.estimate import Estimate
@@ -61,37 +61,32 @@ def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate
         return estimate
     changed = [change.parameter for change in changes]
     method = "nested" if method == "auto" else method
-    remaining = earlier.without(changed)
-    released = _with_parameters_released(problem, remaining, changed)
+    released = _with_parameters_released(problem, earlier, changed)
     fit = solve(released, method=method, start=released.zero_padded(estimate.x))
-    with_values = (_with_both_values(change, earlier, remaining, fit) for change in changes)
+    with_values = (_with_both_values(change, earlier, changed, fit) for change in changes)
     return replace(fit, changes=tuple(with_values))
 
 
 def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[Change, ...]:
-    """Return the changes found beside slightly bent plates if these are as many, because a plate
+    """Return the changes of calibrated parameters; without dials also of plates and patterns.
+
+    The changes found beside slightly bent plates are returned if these are as many, because a plate
     need not be an ideal bowl to be a cause; otherwise those beside unchanged plates.
     """
-    flat = _with_plate_shapes(estimate.problem, _UNCHANGED_PLATE_WIDTH)
-    changes = _search_changes(estimate, earlier, flat)
-    if not changes or len(flat.unknowns) == len(estimate.x):
-        return changes
-    with_bent_plates = _search_changes(
-        estimate, earlier, _with_plate_shapes(estimate.problem, _BENT_PLATE_WIDTH)
-    )
-    return with_bent_plates if len(with_bent_plates) == len(changes) else changes
-
-
-def _search_changes(estimate: Estimate, earlier: Posterior, problem: Problem) -> tuple[Change, ...]:
-    """Return the changes of calibrated parameters; without dials also of plates and patterns."""
     calibrated = estimate.problem
     names = [name for name in calibrated.names if name in earlier.names]
-    if not names:
-        return ()
-    candidates = change_candidates(
-        problem, [*names, *problem.names[len(calibrated.names) :]], [("", 0)]
-    )
-    return most_probable_changes(problem, problem.zero_padded(estimate.x), candidates)
+
+    def search(problem: Problem) -> tuple[Change, ...]:
+        shapes = problem.names[len(calibrated.names) :]
+        possible = possible_changes(problem, [*names, *shapes], [("", 0)])
+        return most_probable_changes(problem, problem.zero_padded(estimate.x), possible)
+
+    flat = _with_plate_shapes(calibrated, _UNCHANGED_PLATE_WIDTH)
+    changes = search(flat) if names else ()
+    if not changes or len(flat.unknowns) == len(calibrated.unknowns):
+        return changes
+    with_bent_plates = search(_with_plate_shapes(calibrated, _BENT_PLATE_WIDTH))
+    return with_bent_plates if len(with_bent_plates) == len(changes) else changes
 
 
 def _with_plate_shapes(problem: Problem, width: float) -> Problem:
@@ -110,7 +105,7 @@ def _with_plate_shapes(problem: Problem, width: float) -> Problem:
 
 
 def _with_parameters_released(
-    problem: Problem, remaining: Posterior, names: Collection[Parameter]
+    problem: Problem, earlier: Posterior, names: Collection[Parameter]
 ) -> Problem:
     """Return the problem with wide priors of some parameters and the earlier ones of all others.
 
@@ -122,21 +117,25 @@ def _with_parameters_released(
         replace(u, prior_width=max(SLAB_WIDTHS)) if u.name.plain in names else u
         for u in extended.unknowns
     )
+    remaining = earlier.without(names)
     return replace(extended, unknowns=tuple(unknowns), earlier_posterior=remaining)
 
 
 def _with_both_values(
-    change: Change, earlier: Posterior, remaining: Posterior, fit: Estimate
+    change: Change, earlier: Posterior, changed: Collection[Parameter], fit: Estimate
 ) -> Change:
-    """Return a change with its values at the earlier calibration and by the fit."""
+    """Return a change with its values at the earlier calibration and by the fit, in which all
+    ``changed`` parameters are released.
+    """
     problem, parameter, catalogue = fit.problem, change.parameter, change.catalogue
     spec, last = problem.machine.spec, problem.factors[problem.last_factor_index]
     vague = bool(ambiguity_clause(spec)) and catalogue.effect_of(parameter).controller != "zero"
     unseen = 0.0
     if parameter in earlier.names:
         summed = change.summed_members
-        after, sigma_after = sum_and_sigma(fit, [fit.names.index(name) for name in summed])
-        before, sigma = _value_before(earlier, remaining, fit, summed)
+        after, sigma_after = combination(fit, [fit.names.index(name) for name in summed])
+        unchanged = [n for n in fit.names if n in earlier.names and n not in (*changed, *summed)]
+        before, sigma = _value_before(earlier, fit, summed, unchanged)
         variances = earlier.conditional_variance  # each parameter alone off by its tolerance
         if variances is not None:
             unseen = float(np.sqrt(max(variances[earlier.names.index(n)] for n in summed)))
@@ -150,17 +149,17 @@ def _with_both_values(
             shares = (w * earlier.mean[earlier.names.index(n)] for n, w in weights.items())
             before = float(sum(shares) / sum(w * w for w in weights.values()))
         place = [n.plain for n in problem.names].index(parameter)
-        size, sigma_after = sum_and_sigma(fit, [place])
+        size, sigma_after = combination(fit, [place])
         after, sigma = before + size, math.hypot(sigma_after, change.sigma_between_sets)
-    between = Path(spec.file).name or "earlier calibration", last.name
+    files = Path(spec.file).name or "earlier calibration", last.name
     return replace(
-        change, between=between, before=before, after=after, sigma=sigma, sigma_after=sigma_after,
+        change, files=files, before=before, after=after, sigma=sigma, sigma_after=sigma_after,
         unseen_before=unseen, vague=vague,
     )  # fmt: skip
 
 
 def _value_before(
-    earlier: Posterior, remaining: Posterior, fit: Estimate, members: tuple[Parameter, ...]
+    earlier: Posterior, fit: Estimate, members: Sequence[str], unchanged: Sequence[str]
 ) -> tuple[float, float]:
     """Return the sum of some parameters at the earlier calibration, and the sigma of its change.
 
@@ -168,23 +167,15 @@ def _value_before(
     of ``s - w^T x``: s is the sum now, x the unchanged parameters, and w the regression of the sum
     on x. The variance of two independent sums is used if it is smaller.
     """
-    members_at = [earlier.names.index(name) for name in members]
-    unchanged = [n for n in fit.names if n in remaining.names and n not in members]
-    unchanged_at = [earlier.names.index(n) for n in unchanged]
-    sd = np.sqrt(np.maximum(np.diag(earlier.covariance), 1e-300))
-    correlation = earlier.covariance / sd / sd[:, None]
-    cross = (correlation[np.ix_(unchanged_at, members_at)] * sd[members_at]).sum(axis=1)
-    block = correlation[np.ix_(unchanged_at, unchanged_at)]
-    slope = np.linalg.pinv(block, rcond=1e-9, hermitian=True) @ cross
-    earlier_variance = earlier.covariance[np.ix_(members_at, members_at)].sum()
-    conditional_variance = earlier_variance - cross @ slope
-    slope, places = slope / sd[unchanged_at], [fit.names.index(n) for n in unchanged]
-    sum_weights = np.isin(fit.names, members).astype(float)
-    weights = sum_weights.copy()
-    weights[places] = -slope
-    regressed_variance = weights @ fit.covariance @ weights + max(conditional_variance, 0.0)
-    independent_variance = sum_weights @ fit.covariance @ sum_weights + earlier_variance
-    before = float(earlier.mean[members_at].sum())
-    if regressed_variance < independent_variance:  # unchanged parameters tell more of the sum
-        before += float(slope @ (fit.x[places] - earlier.mean[unchanged_at]))
-    return before, float(np.sqrt(min(regressed_variance, independent_variance)))
+    at, others_at = ([earlier.names.index(n) for n in part] for part in (members, unchanged))
+    places, others = ([fit.names.index(n) for n in part] for part in (members, unchanged))
+    slopes, left = earlier.regression(members, unchanged)
+    slope, sum_weights = slopes.sum(axis=0), np.ones(len(members))
+    _, sigma = combination(fit, [*places, *others], [*sum_weights, *-slope])
+    regressed = math.hypot(sigma, math.sqrt(max(left.sum(), 0.0)))
+    _, sigma = combination(fit, places)
+    independent = math.hypot(sigma, math.sqrt(earlier.covariance[np.ix_(at, at)].sum()))
+    before = float(earlier.mean[at].sum())
+    if regressed < independent:  # unchanged parameters tell more of the sum
+        before += float(slope @ (fit.x[others] - earlier.mean[others_at]))
+    return before, min(regressed, independent)

@@ -7,7 +7,7 @@ r``, with no cause active.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,7 @@ from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.compression import MergedRows
 from orthoglide.explanation.fault_columns import FaultColumns, FaultFamily
-from orthoglide.explanation.faults import Fault
-from orthoglide.explanation.linear_model import SLAB_SCALES
+from orthoglide.explanation.linear_model import SLAB_SCALES, LinearModel
 from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
@@ -27,6 +26,7 @@ _KEPT_PER_KIND = 10  # faults kept of each kind, for each background
 _SCREENING_MARGIN = 5.0
 """Log odds that a fault may lack to be active alone: another fault may hide as much of it."""
 
+_BACKGROUNDS = (0.003, 0.1, 1.0)  # tolerances: each may hide or imitate a data fault
 _MOST_DENSE_NUMBERS = 2e6  # size of the faults' columns, above which they are scored sparsely
 
 
@@ -36,11 +36,10 @@ def screen_data_faults(
     nuisance: Nuisances,
     rows: MergedRows,
     residual: Array,
-    whitened: tuple[Array, Array],
-    backgrounds: Sequence[Array],
-    required: Collection[Fault] = (),
+    linear: LinearModel,
 ) -> list[FaultColumns]:
-    """Return the faults with the largest log Bayes factors, of each kind and for each background.
+    """Return the faults with the largest log Bayes factors, of each kind and for each background,
+    and those of corrected commands.
 
     Args:
         suspects: all possible faults.
@@ -48,16 +47,14 @@ def screen_data_faults(
         nuisance: of these.
         rows: readings by coefficient ``(n, C)``.
         residual: readings less the prediction at zero ``(n,)``.
-        whitened: rows and residual, whitened and projected, ``(m, C)`` and ``(m,)``.
-        backgrounds: standard deviations of the coefficients ``(C,)``.
-        required: faults that are kept in any case.
+        linear: rows and residual, whitened and projected.
     """
     if not suspects:
         return []
     counts = [len(s) for s in suspects]
     family = np.repeat(np.arange(len(suspects)), counts)
-    kinds = np.array([s.fault.kind for s in suspects])[family]
-    columns, whitened_residual = whitened
+    kinds = np.array([s.kind for s in suspects])[family]
+    columns, whitened_residual = linear.columns, linear.residual
     n, starts = len(residual), np.cumsum([0, *counts])
     ends = np.cumsum([s.columns[:, 0].size for s in suspects])
     dense = n * ends[-1] <= _MOST_DENSE_NUMBERS
@@ -66,9 +63,9 @@ def screen_data_faults(
         fault_columns = nuisance.project(full_columns)
         fault_columns = np.pad(fault_columns, [(0, len(columns) - len(fault_columns)), (0, 0)])
     cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects])[family])
-    chosen = {int(starts[k]) for k, s in enumerate(suspects) if any(s.fault is f for f in required)}
+    chosen = {int(starts[k]) for k, s in enumerate(suspects) if s.corrected}
     gram, products = columns.T @ columns, columns.T @ whitened_residual
-    for sd in backgrounds:
+    for sd in (np.sqrt(linear.spike(scale, scale)) for scale in _BACKGROUNDS):
         if dense:
             scaled = columns * sd
             root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
@@ -83,7 +80,7 @@ def screen_data_faults(
             past = past - nuisance.explained_residual(past)
             # That other coefficients can imitate a fault is neglected, as for few columns among
             # many readings.
-            weight = 1 / np.hypot(problem.sigma, problem.shared_rounding_sd)
+            weight = 1 / problem.reading_sd
             past = past * weight
             scored = [((s.columns * weight[s.rows, None]).transpose(0, 2, 1), past[s.rows])
                       for s in suspects]  # fmt: skip

@@ -117,7 +117,7 @@ class Problem:
     @cached_property
     def angular(self) -> NDArray[np.bool_]:
         """Which rows are inclinations, radians ``(n,)``; all others are lengths, metres."""
-        return np.concatenate([f.readings.angular for f in self.factors])
+        return self.column("angular")
 
     @cached_property
     def sigma(self) -> Array:
@@ -131,16 +131,26 @@ class Problem:
         """
         return np.concatenate([f.noise.common for f in self.factors])
 
+    @property
+    def reading_sd(self) -> Array:
+        """Standard deviation of each reading, its rounding counted ``(n,)``, metres or radians."""
+        return np.hypot(self.sigma, self.shared_rounding_sd)
+
     @cached_property
     def resolution(self) -> Array:
         """Resolution of the instrument of each row ``(n,)``, metres or radians; 0 if none shows."""
         return np.concatenate([f.noise.step for f in self.factors])
 
+    @cached_property
+    def weighted(self) -> NDArray[np.bool_]:
+        """Which rows have any weight ``(n,)``."""
+        return np.concatenate([f.noise.weighted for f in self.factors])
+
     @property
     def single_reading_sd(self) -> ByUnit:
         """Standard deviation of a single reading: of a length, and of an inclination."""
         length = float("nan") if self.angular.all() else self.noise.typical
-        turns = np.hypot(self.sigma, self.shared_rounding_sd)[self.angular]
+        turns = self.reading_sd[self.angular]
         return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
 
     @property
@@ -189,8 +199,7 @@ class Problem:
     @cached_property
     def repeat_count(self) -> int:
         """Number of readings beyond the first of each station, which show the noise alone."""
-        weighted = np.concatenate([f.noise.weighted for f in self.factors])
-        return int(weighted.sum()) - len(np.unique(self.station[weighted]))
+        return int(self.weighted.sum()) - len(np.unique(self.station[self.weighted]))
 
     @cached_property
     def noise_dof(self) -> float:
@@ -326,15 +335,17 @@ class Problem:
         """Numbers of the mountings on legs, which come first."""
         return range(sum(len(c.setups) for c in self.campaigns))
 
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column of all tables of readings, stacked ``(n, ...)``."""
+        return np.concatenate([getattr(f.readings, name) for f in self.factors])
+
     def dial_column(self, column: str) -> NDArray[Any]:
         """Return a column of the readings on legs, stacked over campaigns ``(n_legs, ...)``."""
         return np.concatenate([getattr(c, column) for c in self.campaigns])
 
     @cached_property
     def station(self) -> NDArray[np.int64]:
-        """Station of each row ``(n,)``; visits of equal setup, command, approach and load share
-        one.
-        """
+        """Station of each row ``(n,)``: visits of equal setup, command, approach and load."""
         return _consecutive_numbers([f.station for f in self.factors])
 
     @cached_property

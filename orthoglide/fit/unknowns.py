@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,6 @@ the background of other effects that a sound machine is allowed."""
 _BOUND_SD = 50.0
 NOTHING_FREE = "nothing is free: name at least one parameter or family to identify"
 _MIN_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
-
-K = TypeVar("K", bound=Hashable)
 
 
 @dataclass(frozen=True)
@@ -59,25 +57,20 @@ def posterior_rows(
     """Return an earlier posterior as whitened rows of ``P`` unknowns: matrix ``(k, P)`` and target
     ``(k,)`` of ``|matrix x - target|^2``, and which of the unknowns it covers ``(P,)``.
     """
-    index = {n: k for k, n in enumerate(posterior.names) if posterior.covariance[k, k] > 0}
-    is_covered = np.array([u.name in index for u in unknowns], dtype=bool)
-    covered = [index[u.name] for u, s in zip(unknowns, is_covered, strict=True) if s]
+    uncertain = [n for n, sigma in posterior.sigmas.items() if sigma > 0]
+    is_covered = np.array([u.name in uncertain for u in unknowns], dtype=bool)
+    covered = [u.name for u, s in zip(unknowns, is_covered, strict=True) if s]
     matrix = np.zeros((len(covered), len(unknowns)))
     # Parameters that are not free stay at their mean: the covariance is conditioned on them.
-    fixed = [k for k in index.values() if k not in set(covered)]
-    block = posterior.covariance[np.ix_(covered, covered)]
-    if fixed:
-        scale = np.sqrt(np.diag(posterior.covariance)[fixed])
-        among = posterior.covariance[np.ix_(fixed, fixed)] / scale / scale[:, None]
-        across = posterior.covariance[np.ix_(covered, fixed)] / scale
-        block = block - across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True) @ across.T
+    _, block = posterior.regression(covered, [n for n in uncertain if n not in covered])
     tolerance = np.array([u.tolerance for u, s in zip(unknowns, is_covered, strict=True) if s])
     block = block + np.diag((_DRIFT_SHARE * tolerance) ** 2)
     sd = np.sqrt(np.diag(block))
     values, vectors = np.linalg.eigh(block / sd / sd[:, None])
     root = (vectors / np.sqrt(np.maximum(values, 1e-10 * values.max(initial=1.0)))).T / sd
     matrix[:, is_covered] = root
-    return matrix, root @ posterior.mean[covered], is_covered
+    mean = posterior.mean[[posterior.names.index(name) for name in covered]]
+    return matrix, root @ mean, is_covered
 
 
 def build_unknowns(
@@ -155,29 +148,20 @@ def _parameter_weights(
     return catalogue.elementary_weights(name, setups)
 
 
-def join_unknowns(unknowns: Sequence[Unknown], key_of: Callable[[Unknown], K]) -> dict[K, Unknown]:
-    """Return the unknowns by key, those of equal key joined to one with the values of the first."""
-    joined: dict[K, Unknown] = {}
-    for unknown in unknowns:
-        first = joined.setdefault(key := key_of(unknown), unknown)
-        parts = tuple(a or b for a, b in zip(first.weights, unknown.weights, strict=True))
-        joined[key] = replace(first, weights=parts)
-    return joined
-
-
 def share_plate_shapes(
     unknowns: Sequence[Unknown], catalogue: Catalogue, separate: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
     """Return the unknowns with one shape per plate, which all campaigns share; plates named in
     ``separate`` keep one for each campaign.
     """
-
-    def shared_name(unknown: Unknown) -> Parameter:
+    shared = dict[Parameter, Unknown]()
+    for unknown in unknowns:
         plate = catalogue.effect_of(unknown.name).of_body and unknown.name.plain not in separate
-        return unknown.name.plain if plate else unknown.name
-
-    joined = join_unknowns(unknowns, shared_name).items()
-    return tuple(replace(unknown, name=name) for name, unknown in joined)
+        name = unknown.name.plain if plate else unknown.name
+        first = shared.setdefault(name, unknown)
+        parts = tuple(a or b for a, b in zip(first.weights, unknown.weights, strict=True))
+        shared[name] = replace(first, name=name, weights=parts)
+    return tuple(shared.values())
 
 
 def with_bounds(unknowns: Sequence[Unknown], bounds: Mapping[str, float]) -> tuple[Unknown, ...]:

@@ -62,6 +62,17 @@ class Posterior:
             None if self.conditional_variance is None else self.conditional_variance[rows],
         )
 
+    def regression(self, names: Sequence[str], given: Sequence[str]) -> tuple[Array, Array]:
+        """Return the slopes ``(k, g)`` of some parameters by given ones, and the covariance
+        ``(k, k)`` that these leave.
+        """
+        rows, others = ([self.names.index(n) for n in part] for part in (names, given))
+        sd = np.sqrt(np.maximum(np.diag(self.covariance)[others], 1e-300))
+        among = self.covariance[np.ix_(others, others)] / sd / sd[:, None]
+        across = self.covariance[np.ix_(rows, others)] / sd
+        slopes = across @ np.linalg.pinv(among, rcond=1e-9, hermitian=True)
+        return slopes / sd, self.covariance[np.ix_(rows, rows)] - slopes @ across.T
+
     @property
     def sigmas(self) -> dict[str, float]:
         """Standard deviations by name, SI."""
