@@ -107,8 +107,14 @@ class Printer(Protocol):
         to blame; empty if they agree.
         """
 
+    def doubts(self, machine: Any) -> str:
+        """Return a warning to users of the machine; empty without one."""
+
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield remarks of the import on readings of these names."""
+
+    def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
+        """Yield assumptions of the import on which the causes depend."""
 
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
         """Return the table of a calibrated machine by the add-on's name."""

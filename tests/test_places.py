@@ -149,3 +149,16 @@ def test_the_command_says_how_to_fill_a_sheet_in(tmp_path: Path) -> None:
     assert "Send the tool to x_mm, y_mm, z_mm, with its numbers as they are." in told
     assert "a probe on a plate: go down until it touches and write the height" in told
     assert "reading_mrad is the tool's turn about the direction, right-handed" in told
+
+
+@pytest.mark.parametrize(
+    ("distances", "told"),
+    [((0.0, 60.0), "a distance must be above 0"), ((0.06, 0.09), "millimetres, not metres")],
+)
+def test_distances_that_cannot_be_are_refused(
+    distances: tuple[float, float], told: str, tmp_path: Path
+) -> None:
+    rows = [row for row in sheet("distance") if row["kind"] == "distance"][:2]
+    rows = [row | {"reading_mm": str(value)} for row, value in zip(rows, distances, strict=True)]
+    with pytest.raises(FileError, match=told):
+        read(tmp_path / "sheet.csv", rows)

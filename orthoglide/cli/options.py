@@ -132,7 +132,9 @@ class MachineOption:
         from orthoglide.machine import Machine
 
         machine = Machine.of(self.path, self.effects)
-        warn(machine.warnings)
+        printer = machine.spec.printer
+        doubts = "" if printer is None else printer.doubts(machine)
+        warn(tuple(filter(None, (doubts, *machine.warnings))))
         return machine
 
 

@@ -119,7 +119,10 @@ def _workspace(before: Estimate, posterior: FullPosterior, calibrated: Machine) 
 
 def _warnings(outcome: RunOutcome) -> tuple[Note, ...]:
     """Return the warnings of the last fit except lack of fit, which the verdict reports."""
-    return tuple(w for w in outcome.after.warnings if w.kind != "lack_of_fit")
+    machine, warnings = outcome.request.machine, list(outcome.after.warnings)
+    if (printer := machine.spec.printer) is not None:
+        warnings += printer.assumptions(machine, outcome.effects)
+    return tuple(w for w in warnings if w.kind != "lack_of_fit")
 
 
 def _noise(outcome: RunOutcome) -> Noise:

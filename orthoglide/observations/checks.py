@@ -210,6 +210,12 @@ def _check_distances(readings: Readings, fail: Fail) -> None:
     coinciding = np.flatnonzero(readings.paired & coincident)
     if len(coinciding):
         fail("the two commands of this distance are the same: correct one", int(coinciding[0]))
+    rows = np.flatnonzero(readings.paired & np.isfinite(readings.reading))
+    distances = readings.reading[rows]
+    if (distances <= 0).any():
+        fail("a distance must be above 0: correct it", int(rows[np.argmax(distances <= 0)]))
+    if len(rows) and distances.max() < 1e-3:
+        fail("all distances are below 1 mm: give millimetres, not metres", int(rows[0]))
 
 
 def min_axis_motion(machine: MachineFile) -> float:

@@ -12,13 +12,15 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from orthoglide.add_ons import Corrections, Paste, Section
 from orthoglide.effects import Catalogue
 from orthoglide.firmware.imported import Imported as Imported
 from orthoglide.firmware.klipper import provenance
 from orthoglide.firmware.klipper.corrections import make_paste
 from orthoglide.firmware.klipper.importing import import_printer as import_printer
-from orthoglide.firmware.klipper.numbers import Numbers
+from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
@@ -33,8 +35,14 @@ _TOUCH_ADVICE = (
     "Touch the plate too, out to its rim, for numbers for the firmware: its z = 0 is the plate"
 )
 _FIRMWARE_NUMBERS = "three endstops, one radius, three angles and three arms"
+_EQUAL_ARMS = 1.5e-4  # metres from the stored arms: less than half of the spread
 _ROUNDING = 2e-6  # metres by which lengths of the file may be rounded
 _FILE = re.compile(r"(\S+)\.csv\b")
+_ASSUMED_SIZES = {
+    "r": "the effector's radius",
+    "d": "the distance of an arm's two rods",
+    "tool_below": "how far the nozzle hangs below the joints",
+}
 
 
 @dataclass(frozen=True)
@@ -97,6 +105,23 @@ class Printer:
             )
         return ()
 
+    def doubts(self, machine: Any) -> str:
+        """Return a warning that the stored arms cannot be one set of rods; empty if they can.
+
+        There is none either if the machine file declares the arms as measured: by a sigma beside
+        lengths near the stored ones.
+        """
+        if np.ptp(self.numbers.arm) <= provenance.MAX_ROD_SPREAD or machine.spec.measured.rods:
+            return ""
+        effect = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
+        errors = [machine.spec.parameters.get(f"{effect}.{tower}") for tower in TOWERS]
+        measured = all(
+            error is not None and error.sigma > 0
+            and abs(error.value - (arm - machine.geometry.L)) <= _EQUAL_ARMS
+            for error, arm in zip(errors, self.numbers.arm, strict=True)
+        )  # fmt: skip
+        return "" if measured else provenance.unequal_arms_warning(self.numbers)
+
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield the remarks of the import for a result of readings of these names.
 
@@ -110,6 +135,29 @@ class Printer:
                 len(files) < 2 or (files[0] in names) != (files[1] in names)
             ):
                 yield Note(text, "imported")
+
+    def assumptions(self, machine: Any, causes: Sequence[Any]) -> Iterator[Note]:
+        """Yield a note on sizes that were assumed on import and not changed, if a cause depends on
+        them.
+        """
+        explanations = (e for cause in causes for e in cause.explanations)
+        assumed, geometry = self.table.get(provenance.ASSUMED_KEY), machine.geometry
+        of_machine = any(not e.catalogue.effect_of(e.name).of_dial for e in explanations)
+        if not (of_machine and isinstance(assumed, Mapping)):
+            return
+        below = float(geometry.legs[0].platform[2])
+        current = {"r": geometry.r, "d": geometry.d, "tool_below": below}
+        sizes = ", ".join(
+            f"{_ASSUMED_SIZES[name]} ({value:g} mm)" for name, value in assumed.items()
+            if abs(current.get(name, np.inf) * 1e3 - value) < 1e-6
+        )  # fmt: skip
+        if sizes:
+            yield Note(
+                f"assumed, as no firmware stores it: {sizes}; sizes of causes that turn the "
+                f"platform go with that, and their uncertainty does not count it: measure it and "
+                f"correct it in the machine file",
+                "assumed",
+            )
 
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
         """Return the table that a calibrated machine keeps, by its name."""
@@ -131,7 +179,7 @@ class Printer:
         """Return the report's section on a calibrated machine."""
         again = _CALIBRATE_FIRST if self.calibrate_again else ""
         reasons = (*(self.changed_since or (again,)), self._fitted_arms(given.catalogue, causes))
-        first = " ".join(filter(None, reasons))
+        first = " ".join(filter(None, (*reasons, self.doubts(calibrated))))
         catalogue, numbers = given.catalogue, dict[str, Any]()
         beyond = tuple(
             f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes

@@ -41,9 +41,7 @@ arm's two rods, nozzle below the platform's joints. Effects that turn the platfo
 
 _ZERO_REFERENCE_KEYS = ("zero_reference_position", "relative_reference_index")
 _UNFITTED_RADIUS_SD = 3e-3  # metres: standard deviation of a radius that no calibration has fitted
-_EQUAL_ARMS = 5e-5  # metres: largest difference of arms that are taken as equal
-_UNREPEATED_NOTES = ("assumed", "line", "mesh", "readings", "rods")
-"""Kinds of notes that no result repeats."""
+_UNREPEATED_NOTES = ("line", "mesh", "readings", "rods")  # kinds of notes that no result repeats
 
 
 def import_printer(
@@ -111,7 +109,10 @@ def _imported(config: Config, turned: Mapping[str, float]) -> Imported:
         **({provenance.WARNINGS_KEY: warnings} if warnings else {}),
         **({provenance.CALIBRATE_AGAIN_KEY: True} if calibrate_again else {}),
         **({provenance.CHANGED_KEY: [printable_path(n) for n in since]} if since else {}),
-    }
+        provenance.ASSUMED_KEY: {
+            "r": PLATFORM_RADIUS * 1e3, "d": ROD_DISTANCE * 1e3, "tool_below": NOZZLE_DROP * 1e3,
+        },
+    }  # fmt: skip
     machine = replace(machine, provenance={provenance.FIRMWARE_NAME: table})
     together = tuple(c.name for c in campaigns if is_known and c.name not in excluded)
     return Imported(machine, tuple(campaigns), tuple(ordered), together)
@@ -201,22 +202,8 @@ def _add_notes(
     config: Config, numbers: Numbers, campaigns: Sequence[Readings], relative: bool
 ) -> None:
     """Add notes on the numbers and the readings for the owner."""
-    if (spread := float(np.ptp(numbers.arm))) > _EQUAL_ARMS:
-        arms = ", ".join(f"{v * 1e3:.3f}" for v in numbers.arm)
-        doubt = ", more than rods of one set do: measure a rod before you trust its numbers"
-        config.note(
-            "rods",
-            f"the arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
-            f"{doubt * (spread > provenance.MAX_ROD_SPREAD)}; they are taken as equal to within "
-            f"{_EQUAL_ARMS * 1e3:g} mm, unless [parameters] of the machine file has a sigma",
-        )
-    config.note(
-        "assumed",
-        f"assumed, as no firmware stores it: the effector's radius ({PLATFORM_RADIUS * 1e3:g} mm), "
-        f"the distance of an arm's two rods ({ROD_DISTANCE * 1e3:g} mm), how far the nozzle hangs "
-        f"below the joints ({NOZZLE_DROP * 1e3:g} mm); correct them in the machine file, as sizes "
-        f"of causes that turn the platform depend on them",
-    )
+    if warning := provenance.unequal_arms_warning(numbers):
+        config.note("rods", warning)
     config.notes += note_few_touches(max(int(c.touching.sum()) for c in campaigns))
     if all(c.name == provenance.CALIBRATION for c in campaigns):
         return

@@ -1,4 +1,10 @@
-"""Keys of a printer's table in a machine file."""
+"""Keys of a printer's table in a machine file, and doubts about its numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orthoglide.firmware.klipper.numbers import Numbers
 
 FIRMWARE_NAME = "klipper"
 """Name of the table of a machine file, and of the entry point."""
@@ -14,8 +20,23 @@ run again before any number is entered."""
 CHANGED_KEY = "changed_since"
 """Key of the table: those sentences that say what was moved or changed since that calibration."""
 
-MESHES_RELATIVE_KEY, CORRECTED_KEY = "meshes_relative", "corrected"
-"""Keys of the table: whether the height at one place is subtracted from meshes, and new numbers of
-a calibrated machine."""
+MESHES_RELATIVE_KEY, ASSUMED_KEY, CORRECTED_KEY = "meshes_relative", "assumed_mm", "corrected"
+"""Keys of the table: whether the height at one place is subtracted from meshes, what the firmware
+does not store, and new numbers of a calibrated machine."""
 
 MAX_ROD_SPREAD = 5e-4  # metres: largest difference of rods of one set
+_EQUAL_ARMS = 5e-5  # metres: largest difference of arms that are taken as equal
+
+
+def unequal_arms_warning(numbers: Numbers) -> str:
+    """Return a warning on stored arms that differ; empty if they are equal."""
+    if (spread := float(np.ptp(numbers.arm))) <= _EQUAL_ARMS:
+        return ""
+    arms = ", ".join(f"{v * 1e3:.3f}" for v in numbers.arm)
+    doubt = ", more than rods of one set do. Measure the rods before you trust any of its numbers"
+    return (
+        f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
+        f"{doubt * (spread > MAX_ROD_SPREAD)}. They are taken as equal to within "
+        f"{_EQUAL_ARMS * 1e3:g} mm: if you did measure them, give the sigma of your measurement "
+        f"under [parameters] of the machine file."
+    )
