@@ -43,7 +43,8 @@ from orthoglide.threads import on_one_thread
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
 
-# Verdicts without a significant lack of fit, except `located`.
+# Verdicts after which the search is not repeated without changes. A located error is absent: it may
+# be what a spurious change left over.
 _FULLY_EXPLAINED = ("adequate", "diffuse", "explained", "ambiguous")
 
 
@@ -78,8 +79,8 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         # The change may be spurious: a free-form error of similar effect may explain the readings,
         # so the search is repeated without changes.
         changes = ()
-        without = replace(findings, changes=(), posterior=None, ambiguous=frozenset())
-        outcome = _search(request, base_fit, without, progress)
+        findings = replace(findings, changes=(), posterior=None, ambiguous=frozenset())
+        outcome = _search(request, base_fit, findings, progress)
     if outcome.word not in ("adequate", "diffuse"):
         check_levels(outcome.before)
         outcome = replace(outcome, alone=())
@@ -159,8 +160,8 @@ def _explains_most(posterior: FullPosterior) -> bool:
 
 
 def _exceeds_readjustment(change: Change, machine: Machine) -> bool:
-    """Return whether a structural parameter changed by more than the widest change expected, which
-    no readjustment explains.
+    """Return whether a structural parameter changed by more than the widest prior of a change, ten
+    tolerances, which no readjustment explains.
     """
     widest = SLAB_WIDTHS[-1] * machine.tolerance(change.parameter)
     structural = change.parameter.effect not in machine.catalogue.base
@@ -187,7 +188,9 @@ def _validation_readings(request: Request) -> tuple[Readings, ...]:
 
 
 def judge(outcome: RunOutcome) -> RunOutcome:
-    """Return an outcome with the scores of the readings and points held out."""
+    """Return an outcome with the scores of the readings and points held out, and with warnings if
+    they contradict the stated errors or were fitted too.
+    """
     request, machine = outcome.request, outcome.machine
     before, after = outcome.values_before, outcome.values
     scores, errors, notes = None, None, list[str]()

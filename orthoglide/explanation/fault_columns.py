@@ -29,8 +29,8 @@ from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction import ReadingPoses
 
 _SLIP_UNIT = 5e-4
-"""Unit of the coefficients of all other kinds, metres or radians. With the scales of the slab it
-covers a tenth of a millimetre to some millimetres, the range in which fingers and stands slip."""
+"""Unit of the coefficients of all kinds but commands and drifts, metres or radians. With the scales
+of the slab it covers a tenth of a millimetre to some millimetres, as fingers and stands slip."""
 
 _DRIFT_UNIT = 5e-5
 """Unit of the change of a drifting instrument over its readings, metres or radians: 0.3 m of steel
@@ -41,11 +41,11 @@ _UNITS = {"command": _COMMAND_UNIT, "drifted": _DRIFT_UNIT}
 _DIFFERENCE_STEP = 1e-5  # metres, of a difference quotient
 
 _EXPECTED_FAULTS = 0.5
-"""Faults of these kinds that are expected in all readings together; the kinds that these may have
-share it equally."""
+"""Prior mean number of data faults in all readings, in equal shares of the kinds that are possible
+for these readings."""
 
 _MOST_ZEROINGS = 12  # times that a dial is set to zero anew
-_MOST_SHIFTS = 64  # moments of a shift that are tried; from twice as many on they are thinned
+_SHIFTS = 64  # of twice as many moments of a shift or more, at least so many are tried
 
 _POSTURE = ("leg", "command")
 """What readings of one posture have in common; one leg is measured at a time."""
@@ -95,7 +95,7 @@ class FaultColumns:
         )
 
     def full_columns(self, n: int) -> Array:
-        """Return all readings by its coefficients ``(n, q)``."""
+        """Return the derivative of all readings by its coefficients ``(n, q)``."""
         columns = np.zeros((n, self.coefficient_count))
         columns[self.fault.rows] = self.columns
         return columns
@@ -172,8 +172,7 @@ def _slips(problem: Problem) -> Iterator[FaultFamily]:
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
     """Yield an equal error of one dial at all visits to a posture: dirt, a burr, a wrong entry.
 
-    It is a local error of the measured face that no list names; a slip is as much more probable as
-    a cause of the catalogue is than a free-form error.
+    Its prior is a slip's times that of a free-form error relative to a cause of the catalogue.
     """
     posture = _group_numbers(problem, *_POSTURE)
     for setup in problem.leg_setups:
@@ -210,7 +209,7 @@ def _shifts_and_drifts(
             cut for cut in range(width + 1, len(rows) - width if width else 0)
             if order[rows[cut]] != order[rows[cut - 1]]
         ]  # fmt: skip
-        for cut in cuts[:: max(len(cuts) // _MOST_SHIFTS, 1)]:
+        for cut in cuts[:: max(len(cuts) // _SHIFTS, 1)]:
             yield FaultFamily(kind, rows[None, cut:], columns[None, cut:])
         # So many readings determine both, the nuisances and their rates, if there are any.
         determined = len(rows) > 2 * width > 0
@@ -247,8 +246,8 @@ def _later_repeats(problem: Problem, rows: Rows) -> Rows:
 
 
 def _group_numbers(problem: Problem, *columns: str) -> Rows:
-    """Return the number of each reading's group of equal entries of a campaign ``(n,)``, -1 for
-    readings without a dial.
+    """Return the number of each reading's group ``(n,)``: readings of one campaign with equal
+    entries in the columns. Those without a dial, which come last, are in no group: -1.
     """
     numbers = np.full(len(problem.measured), -1)
     if campaigns := problem.campaigns:

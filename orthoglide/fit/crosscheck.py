@@ -1,5 +1,5 @@
-"""Checks of a fit by other derivations: of its values by the reduction and the linear system (11),
-of its postures by Pinocchio's constraint Jacobian.
+"""Independent checks of a fit: its values by the analytic reduction and the linear system (11), its
+postures by Pinocchio.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from orthoglide.result.fits import CrossCheck, Verification
 AGREEMENT = 1e-9
 """Metres: two derivations of one model that disagree by more have an error."""
 
-_SIX = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
+_BASE_PARAMETERS = tuple(p for name in CATALOGUE.base for p in CATALOGUE[name].parameters())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,16 +44,18 @@ class ReducedFactor(Factor):
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
-        """Return the readings with their derivative by some of the six parameters."""
-        r, six = self.readings, np.array([values.get(name, 0.0) for name in _SIX])
+        """Return the readings with their derivatives by the base parameters of these names."""
+        r = self.readings
+        base = np.array([values.get(name, 0.0) for name in _BASE_PARAMETERS])
+        offsets, lengths = np.split(np.zeros(6) if self.linear else base, 2)
         predicted = reduction.predict_readings(
-            r.command, r.leg, r.axis, r.gauge, *np.split(0 * six if self.linear else six, 2),
-            geometry=model.geometry,
-        )  # fmt: skip
+            r.command, r.leg, r.axis, r.gauge, offsets, lengths, geometry=model.geometry
+        )
         value = predicted.values
         if self.linear:
-            value = value + predicted.gradient @ six
-        columns = [_SIX.index(name) for name in names]
+            value = value + predicted.gradient @ base
+        columns = [_BASE_PARAMETERS.index(name) for name in names]
+        # Dials on legs have no pose to fit.
         unplaced = ReadingPoses(*np.zeros((3, len(r), 0)))
         return LinearRows(
             r.sign * value, r.sign[:, None] * predicted.gradient[:, columns], unplaced
@@ -65,11 +67,11 @@ class ReducedFactor(Factor):
 
 
 def by_reduction(problem: Problem, *, linear: bool = False) -> Problem:
-    """Return a problem to which the reduction applies, with readings as that predicts them; with
-    ``linear`` by system (11).
+    """Return a problem with the reduction, or with its linearisation (11), in place of the
+    mechanism.
     """
-    columns = [{f.name: getattr(k, f.name) for f in fields(k)} for k in problem.leg_factors]
-    return problem.with_leg_factors([ReducedFactor(**given, linear=linear) for given in columns])
+    arguments = [{f.name: getattr(k, f.name) for f in fields(k)} for k in problem.leg_factors]
+    return problem.with_leg_factors([ReducedFactor(**a, linear=linear) for a in arguments])
 
 
 def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> CrossCheck | None:
@@ -77,22 +79,26 @@ def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> Cross
     the reduction cannot represent the problem.
 
     Raises:
-        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm.
+        CrossCheckError: where mechanism and reduction disagree by more than 1e-6 mm, or the fit of
+            the reduction does not converge.
     """
     if not problem.reduction_applies:
         return None
-    # With unknowns on their bounds the legs need not meet far from the fit.
+    # With an unknown on its bound, legs of the nominal machine may not meet.
     start = fit.x if problem.on_bound(fit.x).any() else problem.start
     reduced = by_reduction(problem)
     try:
         x = solve_nested(reduced, nuisance, linearise(reduced, start))[0].x
         difference = float(np.max(np.abs(x - fit.x), initial=0.0))
-    except SolverError:
-        difference = float("inf")
+    except SolverError as error:
+        raise CrossCheckError(
+            f"the values could not be checked by the reduction: {error}", difference=np.inf
+        ) from None
     if not difference <= AGREEMENT:
         raise CrossCheckError(
             f"the mechanism and the reduction disagree by {difference * 1e3:.3g} mm on the same "
-            f"readings: do not use these values, and report the campaign",
+            f"readings, so one of them is wrong: do not use these values, and send the campaign to "
+            f"the maintainers",
             difference=difference,
         )
     linear = linearise(by_reduction(problem, linear=True), fit.x)
@@ -112,15 +118,16 @@ def cross_check(problem: Problem, nuisance: Nuisances, fit: Linearised) -> Cross
 def _second_order_bound(
     problem: Problem, nuisance: Nuisances, fit: Linearised, linear: Linearised
 ) -> float:
-    """Return the largest norm of the difference between nonlinear and linear fit in theory.
+    """Return an upper bound of the weighted rms difference, metres, between the readings of the
+    nonlinear fit and of system (11).
 
-    With f(x) = J0 x + e and residual q of the nonlinear fit, the linear fit is P0 (f + q), P0 the
-    projection on the linear system's columns: the difference is (1 - P0) e - P0 q, no longer than
-    |e| + |P0 q| in the norm of the noise.
+    All vectors are whitened and projected past the nuisances. With f(x) = J0 x + e and residual q
+    of the nonlinear fit, the linear fit is P0 (f + q), P0 the projection on the linear system's
+    columns: the difference is (1 - P0) e - P0 q, no longer than |e| + |P0 q|.
 
     Args:
-        problem: that was solved.
-        nuisance: the frozen columns.
+        problem: the readings and priors.
+        nuisance: the nuisances at the solution, with their weights.
         fit: at its solution.
         linear: system (11) at the same values.
     """
@@ -146,7 +153,7 @@ SENSITIVITY_LIMIT = 1e-6
 """Relative difference of derivatives: without effect on a fit, but far above rounding."""
 
 SMALLEST_SCALE = 1e-3
-"""Metres a metre: derivatives of smaller outputs are compared by absolute difference."""
+"""Least scale in the comparison of derivatives, so that rounding near zero does not count."""
 
 
 def verify(estimate: Estimate) -> Verification:
@@ -171,7 +178,8 @@ def verify(estimate: Estimate) -> Verification:
     if not (tcp <= TCP_LIMIT and sensitivity <= SENSITIVITY_LIMIT):
         raise CrossCheckError(
             f"six bars and Pinocchio disagree by {tcp * 1e3:.3g} mm of the TCP and "
-            f"{sensitivity:.3g} of a sensitivity: do not use these values, and report the campaign",
+            f"{sensitivity:.3g} of a sensitivity: do not use these values, and send the campaign "
+            f"to the maintainers",
             difference=tcp,
         )
     return Verification(reference.largest_residual, tcp, sensitivity, len(travel))

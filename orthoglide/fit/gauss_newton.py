@@ -1,4 +1,4 @@
-"""Gauss-Newton on the unknowns, with the closures solved within each step."""
+"""Gauss-Newton and Newton steps on the unknowns; the model predicts the readings at each step."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 
 _MAX_STEPS = 60
-# Steps, in standard deviations of each unknown alone: the printed digits must not depend on the
-# start.
+# The fit has converged if no unknown moves by more than this many of its conditional standard
+# deviations: the printed digits must not depend on the start.
 _STEP_TOLERANCE = 1e-10
-_NEWTON_THRESHOLD = 1e-7  # steps below which second derivatives are not worth their time
-_ROUNDING_STEP = 1e-4  # smaller steps that stop shrinking are rounding; times the misfit
-_COST_TOLERANCE = 1e-9  # of the cost: smaller changes, by weak directions too, are rounding
+# Steps, and gradients in the same unit, below which Newton's Hessian is not worth its time.
+_NEWTON_THRESHOLD = 1e-7
+_ROUNDING_STEP = 1e-4  # a smaller step, times the rms residual, that no longer halves is rounding
+_COST_TOLERANCE = 1e-9  # a smaller relative fall of the cost is rounding
 _SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
 
 
@@ -34,8 +35,9 @@ def solve_nested(
 ) -> tuple[Linearised, int]:
     """Return the linearisation at the minimum of the cost, and the number of steps from ``start``.
 
-    Every step closes all postures and takes the derivatives of the readings from the constraint
-    Jacobians, so that time and memory grow linearly with the number of postures.
+    The problem's model (six bars, Pinocchio or the reduction) predicts the readings with their
+    derivatives at every step, so the closed postures are no unknowns of the fit: time and memory
+    grow linearly with the number of postures.
 
     Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
     along weak directions the curvature of the model outweighs the readings.
@@ -46,7 +48,7 @@ def solve_nested(
     linear, previous, cost = start, np.inf, np.inf
     for iteration in range(_MAX_STEPS):
         equations = normal_equations(problem, linear, nuisance)
-        # An unknown that the gradient pushes against its bound stays there.
+        # An unknown on its bound stays there if the cost falls beyond it.
         free = np.flatnonzero(~(problem.on_bound(linear.x) & (equations.gradient * linear.x < 0)))
         scale = equations.single_sd[free]
         descent = -equations.gradient[free] * scale
@@ -58,15 +60,16 @@ def solve_nested(
         if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
             step[free] = _newton_step(problem, nuisance, equations, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
-        misfit = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
+        rms = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
         flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
-        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * misfit)
+        stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * rms)
         if size <= _STEP_TOLERANCE or stalled:
             return linear, iteration
         linear = linearise(problem, _line_search(problem, nuisance, equations, step))
         previous, cost = size, equations.cost
     raise SolverError(
-        "the identification did not settle; free fewer parameters, or keep the priors",
+        f"the fit did not converge in {_MAX_STEPS} steps (the last was {size:.2g} sigma): free "
+        f"fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},
     )
 
@@ -96,8 +99,11 @@ def _newton_step(
 def _line_search(
     problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
 ) -> Array:
-    """Return the unknowns, within their bounds, after a step halved until the cost falls."""
+    """Return the first unknowns along a step, halved up to 30 times and cut at the bounds, at which
+    the cost does not rise beyond rounding; else unknowns that practically are the start.
+    """
     allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
+    # No unknown moves by more than its bound in one step.
     factor = min(1.0, float(np.min(problem.bound / np.maximum(np.abs(step), 1e-300))))
     for _ in range(30):
         x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)

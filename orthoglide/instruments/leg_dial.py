@@ -1,8 +1,10 @@
 """Dials on a leg: one, or two whose difference is read.
 
-The line of leg i runs from its carriage A to the platform B. With the dial at ``gauge`` along the
-leg's own axis a (r removed), it crosses the plane at ``X = A + mu (B - A)`` where
-``mu = (gauge + r - A_a) / (B_a - A_a)``; the dial shows the component of X along its direction.
+The line of leg i runs from its carriage A to the platform B. A dial touches it in a plane across
+the leg's own axis a, at ``gauge + r`` along it (files give gauges less the platform's radius r): at
+``X = A + mu (B - A)``, where ``mu = (gauge + r - A_a) / (B_a - A_a)``. The dial shows the
+component of X along its direction.
+
 Two dials at one posture are the first technique of the 2008 chapter (Fig. 4a): both are set to zero
 against a reference surface, so their difference is the leg's inclination to it and has no datum.
 """
@@ -35,8 +37,11 @@ BAR_WEIGHTS = {0: (0.5, 0.5), 1: (1.0, 0.0), 2: (0.0, 1.0)}
 _MOUNTING_SIZE = 13
 """Numbers that describe the mounting of a dial on a leg, see :func:`_dial_mountings`."""
 
-_PLACE, _SIGN, _TIME = 11, 12, 13
-"""Positions in the mounting of a dial: its place along the leg, its sign, the time of a reading."""
+_PLACE, _SIGN = 11, 12
+"""Positions in the mounting of a dial: its place along the leg, its sign."""
+
+_TIME = _SECOND_PLACE = _MOUNTING_SIZE
+"""Position behind the mounting: the time of a reading, or the place of the second of two dials."""
 
 DATUM_INDEX, PLACEMENT_INDEX = 0, 1
 """Nuisance parameters of a dial: its datum, and the error of its place along the leg."""
@@ -88,7 +93,7 @@ class LegDial(Observation):
     nuisance_count = 2
 
     def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
-        """Return whether an effect changes what a dial shows."""
+        """Return whether an effect is an error of the dial itself, not of the machine."""
         return effect.dial is not None
 
     def setup_error(self, setup: Setup) -> str:
@@ -98,8 +103,8 @@ class LegDial(Observation):
         if setup.leg == setup.axis:
             return "direction is the leg's own axis: name one across the leg"
         places = (setup.gauge, setup.gauge2)
-        is_known = setup.sign in (1, -1) and setup.bar in BAR_WEIGHTS
-        if not is_known or not np.isfinite(places).all():
+        is_valid = setup.sign in (1, -1) and setup.bar in BAR_WEIGHTS
+        if not is_valid or not np.isfinite(places).all():
             return "its sign is 1 or -1, its bar 0, 1 or 2, and its gauge a length in metres"
         return ""
 
@@ -120,7 +125,7 @@ class LegDial(Observation):
         return np.column_stack([_dial_mountings(mounted), time])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the priors of the datum, which has none, and of the dial's place along the leg."""
+        """Return the prior sds of the datum, infinite, and of the place along the leg, metres."""
         return np.array([np.inf, priors.dial_placement_sd])
 
 
@@ -144,7 +149,7 @@ class Parallelism(LegDial):
     nuisance_count = 1
 
     def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
-        """Return that no effect is that of a single dial."""
+        """Return ``False``: a pair has no errors of single dials."""
         return False
 
     def setup_error(self, setup: Setup) -> str:
@@ -156,10 +161,10 @@ class Parallelism(LegDial):
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
         """Return the difference of two crossing points, plus the slope of the surface."""
         mounting = row.mounting
-        first, second = mounting[_PLACE], mounting[_MOUNTING_SIZE]
-        x1, x2 = (_plane_crossing(row.pose, mounting, place) for place in (first, second))
+        place1, place2 = mounting[_PLACE], mounting[_SECOND_PLACE]
+        x1, x2 = (_plane_crossing(row.pose, mounting, place) for place in (place1, place2))
         difference = dot(vector(mounting, 5), linear_combination((1, x2), (-1, x1)))
-        return mounting[_SIGN] * difference + row.nuisance[0] * (second - first)
+        return mounting[_SIGN] * difference + row.nuisance[0] * (place2 - place1)
 
     def mounting_values(self, mounted: Mounted) -> Array:
         """Return the mountings of the first dials, and the places of the second."""

@@ -64,8 +64,8 @@ VIRTUAL_NAMES: tuple[str, ...] = (
 PASSIVE_NAMES: tuple[str, ...] = ("theta", "bar1", "knuckle", "platform", "bar2")
 RELIEF_NAMES: tuple[str, ...] = ("relief_bar", "relief_link")
 
-# Cosine of the angle between rails, less than 1 by this, that still counts as parallel: rails of a
-# calibrated delta lean by some milliradians.
+# 1 less the cosine of the largest angle, 2.6 degrees, between rails that count as parallel: those
+# of a calibrated delta lean by some milliradians.
 _PARALLEL = 1e-3
 
 
@@ -92,7 +92,7 @@ class Tree:
     loops: tuple[Closure, ...]  # the closures, naming frames of the model
     motors: tuple[str, ...]  # names of the driven joints, one degree of freedom each
     drive: NDArray[np.intp]  # the drives
-    passive: NDArray[np.intp]  # the passive joints; of three legs five each, leg by leg
+    passive: NDArray[np.intp]  # those that close the loops: five a PRPaR leg, then all others
     relief: NDArray[np.intp]  # the relief joints (6,), or empty
     virtual: NDArray[np.intp]  # the virtual joints (30,), ten a leg, or empty
     tool: str  # name of the frame that is the tool
@@ -105,13 +105,13 @@ class Tree:
         """Return the tree of a model, its joints sorted by kind; arguments are the attributes."""
         legs = [motor.removesuffix("_slide") for motor in motors]
 
-        def places(names: Iterable[str]) -> NDArray[np.intp]:
+        def positions(names: Iterable[str]) -> NDArray[np.intp]:
             joints = [model.getJointId(name) for name in names if model.existJointName(name)]
             return np.array([model.joints[j].idx_v for j in joints], dtype=np.intp)
 
-        drive = places(motors)
+        drive = positions(motors)
         passive, relief, virtual = (
-            places(f"{leg}_{name}" for leg in legs for name in names)
+            positions(f"{leg}_{name}" for leg in legs for name in names)
             for names in (PASSIVE_NAMES, RELIEF_NAMES, VIRTUAL_NAMES)
         )
         others = np.setdiff1d(np.arange(model.nv), [*drive, *passive, *relief, *virtual])
@@ -138,7 +138,7 @@ class Tree:
 
     @cached_property
     def hanging(self) -> bool:
-        """Whether the platform hangs below parallel rails."""
+        """Whether the rails are parallel, as of a linear delta, whose platform hangs below."""
         return bool((self.slides @ self.slides[0] > 1 - _PARALLEL).all())
 
     def frame(self, name: str) -> int:
@@ -175,8 +175,8 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
     additional joints: 18 joints for three rigid PRPaR legs.
 
     Args:
-        source: dimensions, from which the content of both files is generated; or a folder with
-            both; the published machine's files, which the package ships, where absent.
+        source: a folder with both files; or dimensions, from which they are generated. For those of
+            the published machine, and where absent, the files that the package ships are read.
 
     Raises:
         FileError: where a file is missing or invalid.
@@ -191,7 +191,7 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
         model = pin.buildModelFromXML(files.urdf)
     except (ValueError, RuntimeError):
         raise FileError(
-            "Pinocchio finds no tree of links and joints in it, and prints why: correct it",
+            "Pinocchio finds no tree of links and joints in this file, and prints why: correct it",
             file=printable_path(files.path),
         ) from None
     if fixed := [n for n, kind in files.replaced.items() if kind == "FIXED"]:
@@ -201,7 +201,7 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
     for motor in files.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
-                f"{motor} is driven and no joint of one degree of freedom",
+                f"the closures drive {motor}, which is no joint of one degree of freedom",
                 file=printable_path(files.path),
             )
     return Tree.of_model(model, files.closures, files.motors, files.urdf)
@@ -247,12 +247,12 @@ def visual_model(tree: Tree, nominal: Tree) -> Any:
 def _copied(
     source: pin.Model, spherical: Collection[str] = (), extra_joints: bool = False
 ) -> pin.Model:
-    """Return a copy of a model with some joints made spherical, and perhaps more joints.
+    """Return a copy of a model with some of its joints spherical, and with additional joints.
 
     Args:
         source: the model.
         spherical: names of the joints to make spherical.
-        extra_joints: whether those of the tables above are inserted.
+        extra_joints: whether the joints of the tables above are inserted.
     """
     model = pin.Model()
     model.name = source.name
@@ -279,7 +279,7 @@ def _copied(
         model.appendBodyToJoint(last_joint, source.inertias[j], pin.SE3.Identity())
     for frame in source.frames[1:]:
         if frame.type != pin.FrameType.BODY:
-            continue
+            continue  # frames of joints were added with their joints
         leg, _, name = frame.name.partition("_")
         parent = copy_of[frame.parentJoint]
         if extra_joints and name in JOINTS_BEFORE_FRAMES:
