@@ -350,6 +350,9 @@ def in_turn(*readings: str) -> Fault:
 NOTICED: dict[str, tuple[Fault, str, int]] = {
     "unknown columns": (
         chained(added("operator", "me"), added("comment", "-")), "is not known and was ignored", 2),
+    "dials counted from beyond r": (cell("gauge_mm", "186.125"), "take r away unless the dials", 1),
+    "a quarter and r": (cell("gauge_mm", "108.6"), "take r away unless the dials", 1),
+    "dials elsewhere": (cell("gauge_mm", "186.4"), "take r away unless the dials", 0),
     "a dial that stands still": (in_turn("3.20"), "is the dial touching", 1),
     "a dial that trembles": (in_turn("3.20", "3.21"), "is the dial touching", 1),
     "a dial that moves": (in_turn("3.20", "3.22"), "is the dial touching", 0),

@@ -19,6 +19,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller, Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
+from orthoglide.observations.checks import check_readings
 from orthoglide.planning.sheets import instrument_sheet
 from tests.factors import factor_of
 from tests.klipper_files import DATA
@@ -234,6 +235,19 @@ def test_files_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> No
     content = text(("plate", "distance"))
     with pytest.raises(FileError, match=phrase):
         read(tmp_path, content.replace(old, new))
+
+
+def test_the_sign_of_one_length_is_a_typo_and_of_a_deviation_is_not(tmp_path: Path) -> None:
+    (campaign,) = read(tmp_path, text(("ballbar",)))
+    rows = text(("ballbar",)).splitlines(keepends=True)
+    reading = f"{campaign.reading[3] * 1e3:.9f}"
+    assert rows[4].count(reading) == 1
+    rows[4] = rows[4].replace(reading, f"-{reading}")
+    with pytest.raises(FileError, match="line 5: this length has another sign than the others"):
+        read(tmp_path, "".join(rows))
+    deviation = replace(campaign, reading=campaign.reading - campaign.reading.mean())
+    assert deviation.reading.min() < 0 < deviation.reading.max()
+    check_readings(deviation, SPEC, lambda message, row: pytest.fail(message))
 
 
 def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) -> None:
@@ -540,3 +554,14 @@ def test_a_ball_below_the_plane_of_a_circle() -> None:
     assert far is not None
     assert float(far[1]) == pytest.approx(-ball[2] * 1e3, rel=0.05)
     assert studied([read]).word == "adequate"
+
+
+def test_lengths_that_hardly_vary_are_in_another_unit() -> None:
+    """In metres the lengths of a bar on its sphere vary by micrometres, which fits any machine."""
+    folder = Path(__file__).parent / "data" / "former" / "campaigns"
+    machine = Machine.load(folder / "orthoglide.toml")
+    (campaign,) = read_readings(folder / "orthoglide-ballbar.csv", machine)
+    metres = replace(campaign, reading=campaign.reading * 1e-3)
+    with pytest.raises(InputError, match=r"vary by less than 0\.01 mm.*seem to be in metres"):
+        og.identify(metres, machine)
+    og.identify(campaign, machine)

@@ -165,8 +165,11 @@ class Change:
         """Return the parameter, alternatives in brackets, and its change."""
         before, after, difference, sigma = self._figures(self.unit.spoken)
         others = f" (or {', or '.join(alternatives)})" if alternatives else ""
-        size = f"by {difference}" if self.vague else f"from {before} to {after}"
-        return f"the {self.words}{others} changed {size} {self.unit.spoken.name} (± {sigma})"
+        unit = self.unit.spoken.name
+        if self.vague:
+            return f"the {self.words}{others} changed by {difference} {unit} (± {sigma})"
+        values = f"from {before} to {after} {unit}"
+        return f"the {self.words}{others} changed {values}, by {difference} ± {sigma}"
 
     @property
     def found_only_now(self) -> str:

@@ -24,7 +24,7 @@ from orthoglide.instruments.observation import (
     vector,
 )
 from orthoglide.instruments.pose_estimation import estimate_sphere_centre, plane_normal
-from orthoglide.instruments.unit_and_frame_checks import wrong_unit
+from orthoglide.instruments.unit_and_frame_checks import wrong_unit, wrong_unit_of_constant
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2
@@ -97,9 +97,13 @@ class BallBar(Observation):
     ) -> str:
         """Return a sentence on the unit that the lengths seem to have by mistake."""
 
-        def residual(length: Array) -> Array:
+        def off_sphere(length: Array) -> Array:
             centre = estimate_sphere_centre(readings.p, length)
-            difference = length - np.linalg.norm(readings.p - centre, axis=1)
-            return np.asarray(difference - difference.mean())
+            return np.asarray(length - np.linalg.norm(readings.p - centre, axis=1))
 
-        return wrong_unit(readings.value, residual)
+        def residual(length: Array) -> Array:
+            return off_sphere(length) - off_sphere(length).mean()
+
+        return wrong_unit(readings.value, residual) or wrong_unit_of_constant(
+            readings.value, lambda length: float(off_sphere(length).mean())
+        )

@@ -19,6 +19,7 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, largest
 from orthoglide.units import UNIT_MISTAKES
 
 _MIN_MISFIT = 3e-3  # metres, rms: zeros off by centimetres strain the tool's path by less
+_CONSTANT_SPAN = 1e-5  # metres
 _MAX_RESIDUAL_RATIO = 0.2  # misfit after the mistake is corrected, over that before
 _MIN_READINGS = 4  # readings that a setup needs to be tested
 _LETTERS = "xyz"
@@ -86,17 +87,34 @@ def wrong_unit(value: Array, residual: Callable[[Array], Array]) -> str:
     return _unit_error(np.array([np.sqrt(np.mean(residual(f * value) ** 2)) for f in _FACTORS]))
 
 
-def _unit_error(rms: Array) -> str:
-    """Return a clause on a mistaken unit, from the rms misfit by factor ``(factors,)``, metres;
-    empty if the misfit is small, or no factor makes it small.
+def wrong_unit_of_constant(value: Array, offset: Callable[[Array], float]) -> str:
+    """Return a clause on the unit of lengths that hardly vary; empty if they do vary.
+
+    Deviations of a real machine are micrometres or more, but a constant fits in any unit. That is
+    found from the offset of a bar's length.
+
+    Args:
+        value: lengths read ``(m,)``, metres.
+        offset: returns the mean residual of lengths ``(m,)``, metres.
     """
-    best = _index_of_smallest(rms)
-    if rms[0] < _MIN_MISFIT or rms[best] > _MAX_RESIDUAL_RATIO * rms[0]:
+    if len(value) < _MIN_READINGS or np.ptp(value) > _CONSTANT_SPAN:
         return ""
-    factor = float(_FACTORS[best])
+    span = f"{_CONSTANT_SPAN * 1e3:g} mm"
+    finding = f"vary by less than {span}, as those of no machine do, and are lengths"
+    return _unit_error(np.array([abs(offset(f * value)) for f in _FACTORS]), finding)
+
+
+def _unit_error(misfit: Array, finding: str = "") -> str:
+    """Return a clause on a mistaken unit, from the misfit by factor ``(factors,)``, metres; empty
+    if the misfit is small, or no factor makes it small.
+    """
+    best = _index_of_smallest(misfit)
+    if misfit[0] < _MIN_MISFIT or misfit[best] > _MAX_RESIDUAL_RATIO * misfit[0]:
+        return ""
+    factor, size = float(_FACTORS[best]), compact(misfit[0] * 1e3, 2)
+    finding = finding or f"are {size} mm rms off what this machine can give, and fit"
     return (
-        f"the readings are {compact(rms[0] * 1e3, 2)} mm rms off what this machine can give, and "
-        f"fit once they are multiplied by {factor:.4g}, so they seem to be "
+        f"the readings {finding} once they are multiplied by {factor:.4g}, so they seem to be "
         f"{UNIT_MISTAKES[factor]}: give millimetres"
     )
 

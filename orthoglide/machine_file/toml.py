@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -241,7 +242,8 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
         InputError: if a machine file cannot hold the machine.
     """
     try:
-        text = tomli_w.dumps(_toml_tables(machine)) + _parameter_lines(machine)
+        tables = tomli_w.dumps(_toml_tables(machine))
+        text = _averaging_comment(machine) + tables + _parameter_lines(machine)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
@@ -278,6 +280,21 @@ def _toml_tables(machine: MachineFile) -> dict[str, Any]:
     written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
     top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
     return {"schema": SCHEMA_VERSION, **top, **written}
+
+
+def _averaging_comment(machine: MachineFile) -> str:
+    """Return a comment on values that are averages over alternatives; else empty."""
+    rivals = machine.provenance.get("averaged_over")
+    if not isinstance(rivals, list | tuple) or not rivals:
+        return ""
+    effects = machine.provenance.get("effects", ())
+    names = ", ".join(map(str, dict.fromkeys((*effects, *rivals))))
+    lines = textwrap.wrap(
+        f"Averages: the readings cannot tell {names} apart. The values below are the mean over "
+        f"these explanations, each weighed with its probability, and describe none of them alone.",
+        98,
+    )
+    return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
 def _parameter_lines(machine: MachineFile) -> str:

@@ -6,7 +6,7 @@ raises. Remarks that are no errors are returned as warnings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -19,15 +19,9 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import MIN_MOVE, Ints
+from orthoglide.observations.notices import ZERO_READING, notices
 from orthoglide.observations.readings import Readings
-from orthoglide.observations.schema import (
-    MAX_ROTATION_SD,
-    MOVE,
-    READINGS,
-    SIGMAS,
-    TEMPERATURE,
-    TIME,
-)
+from orthoglide.observations.schema import MAX_ROTATION_SD, MOVE, READINGS
 from orthoglide.units import NOISE_LIMITS
 
 Fail = Callable[[str, int | None], NoReturn]
@@ -43,12 +37,6 @@ STROKE_SLACK = 1e-6
 MIN_AXIS_MOTION = 1e-3
 """Least range of commands over which an axis counts as moving, metres, or a tenth of the stroke if
 that is less."""
-
-STILL_DIAL_STEPS = 2 - 1e-6
-"""Steps of the dial: below this spread in every setup, the dial is considered still."""
-
-ZERO_READING = 1e-8
-"""Readings below this are zeros of a simulated perfect machine, metres."""
 
 DIAL_RANGE = 20e-3
 """Upper limit of the range of a dial, without the motion of the command, metres."""
@@ -185,8 +173,8 @@ def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tupl
 
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
-        warnings = [*_note_still_dial(campaign, machine), *_note_partly_recorded(campaign)]
-    for rule in (_check_noise, _check_distances, _check_duplicates):
+        warnings = list(notices(campaign, machine))
+    for rule in (_check_noise, _check_distances, _check_bars, _check_duplicates):
         rule(readings, fail)
     return tuple(warnings)
 
@@ -216,6 +204,18 @@ def _check_distances(readings: Readings, fail: Fail) -> None:
         fail("a distance must be above 0: correct it", int(rows[np.argmax(distances <= 0)]))
     if len(rows) and distances.max() < 1e-3:
         fail("all distances are below 1 mm: give millimetres, not metres", int(rows[0]))
+
+
+def _check_bars(readings: Readings, fail: Fail) -> None:
+    bars = np.flatnonzero(
+        readings.which(lambda s: s.observation.about_ball) & np.isfinite(readings.reading)
+    )
+    # Only lengths are checked: deviations are near zero and of any sign.
+    length = np.abs(readings.reading[bars])
+    negative = readings.reading[bars] < 0
+    if negative.any() and not negative.all() and length.min() > length.max() / 2:
+        wrong = negative if negative.mean() < 0.5 else ~negative
+        fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
 
 
 def min_axis_motion(machine: MachineFile) -> float:
@@ -327,36 +327,6 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
                 "than its leg can move: correct a slip, or give millimetres",
                 int(row),
             )
-
-
-def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
-    read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
-    if not read.any():
-        return
-    spans = [
-        np.ptp(campaign.reading[read & (campaign.setup == index)])
-        for index in np.unique(campaign.setup[read])
-    ]
-    # Rounding and touching make a still dial vary by up to two steps.
-    if max(spans) < max(STILL_DIAL_STEPS * machine.dial.resolution, ZERO_READING):
-        yield Note(
-            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
-            "touching the leg? Unless the machine is as good as that, such readings say nothing",
-            "reading",
-        )
-
-
-def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
-    consequences = {
-        TIME: "these count as taken at the start",
-        TEMPERATURE: "these count as no warmer than the first",
-        SIGMAS["mm"]: "these take the dial's",
-    }
-    for column, consequence in consequences.items():
-        absent = np.isnan(getattr(campaign, column.attribute))
-        if absent.any() and not absent.all():
-            text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
-            yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
 
 
 _CHECKS = (_check_motion, _check_gauges, _check_postures, _check_clock, _check_dial)

@@ -209,6 +209,8 @@ def readings_of_table(
         if (require_readings if column in READINGS.values() else column.required)
         and column is not ORDER and rows_of_kinds(kinds, column.applies_to).any()
     ]  # fmt: skip
+    # A column that says nothing of these kinds counts as unknown.
+    allowed = [c for c in allowed if c is KIND or rows_of_kinds(kinds, c.applies_to).any()]
     warnings = table.check_names(
         column_names([*allowed, RHO, TRAVEL], legs), column_names(required, legs)
     )
