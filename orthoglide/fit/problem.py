@@ -386,13 +386,6 @@ class Problem:
         effects = (u.name.effect for u in self.unknowns if u.prior_width > 1)
         return sum(self.machine.catalogue[effect].controller != "zero" for effect in effects)
 
-    def with_leg_readings(self, readings: Array) -> Problem:
-        """Return the problem with the readings on legs replaced by the leading entries of
-        ``readings``, metres; readings of the tool are unchanged.
-        """
-        pairs = zip(self.leg_factors, self.leg_rows, strict=True)
-        return self.with_leg_factors([f.with_readings(readings[rows]) for f, rows in pairs])
-
 
 def _consecutive_numbers(numbers: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Concatenate group numbers of several tables, offset so that no two tables share one."""

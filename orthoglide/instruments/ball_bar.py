@@ -102,7 +102,8 @@ class BallBar(Observation):
             return np.asarray(length - np.linalg.norm(readings.p - centre, axis=1))
 
         def residual(length: Array) -> Array:
-            return off_sphere(length) - off_sphere(length).mean()
+            off = off_sphere(length)
+            return np.asarray(off - off.mean())
 
         return wrong_unit(readings.value, residual) or wrong_unit_of_constant(
             readings.value, lambda length: float(off_sphere(length).mean())

@@ -68,12 +68,14 @@ def stated_commands(table: Table, machine: MachineFile) -> Column:
         return native
     if not names[0] & set(table.names):
         return other
+    fault = "one of these kinds is not complete"
     if (names[0] | names[1]) <= set(table.names):  # `compensate` writes both
         difference = commands(table, native, machine) - commands(table, other, machine)
         if np.abs(difference).max(initial=0.0) <= _AGREEMENT:
             return native
+        fault = "they disagree"
     both = f"{native.names(legs)[0]} and {other.names(legs)[0]}"
-    table.fail(f"has {both}, and they disagree: keep those of one kind")
+    table.fail(f"has {both}, and {fault}: keep the columns of one kind")
 
 
 def commands(table: Table, column: Column, machine: MachineFile) -> Array:
