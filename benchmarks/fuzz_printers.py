@@ -13,6 +13,7 @@ from tests.rig import Array
 _TURN = 200.0  # full steps
 _SAME = 2e-6  # mm
 _SAID = 6e-3  # mm: half of the last digit of a shift that is said, and a little
+_SAID_SCALE = 6e-5  # half of the last digit of a longer step that is said, and a little
 
 
 def misread(content: bytes, out: Path, said: str) -> str:
@@ -27,18 +28,20 @@ def misread(content: bytes, out: Path, said: str) -> str:
     path = out / "calibration.csv"
     rows = list(csv.DictReader(path.open(newline=""))) if path.exists() else []
     known = stored.get("delta_calibrate", {})
-    said = re.sub(r"'[^']*' is left out", "", said)  # a line elsewhere, that names a key
-    if not rows and "heights and distances are left out: " in said:
+    left_out = "\n".join(re.findall(r"left out: (.*)", said))
+    if not rows and left_out.startswith("heights and distances: "):
         return ""
     for kind, name, ends in (("plate", "height", ("",)), ("distance", "distance", ("1", "2"))):
         told = [float(row["reading_mm"]) for row in rows if row["kind"] == kind]
         # What could not be read is left out by a sentence that names it.
         named = _numbered(known, name)
         wanted = {
-            k: float(v) for k, v in named.items() if not re.search(rf"\b{name}{k}(_|\b)", said)
+            k: float(v) for k, v in named.items() if not re.search(rf"\b{name}{k}(_|\b)", left_out)
         }
+        if not told and re.search(rf"^all [0-9]+ {name}s of ", left_out, re.MULTILINE):
+            continue
         # All heights may be shifted by as much as a sentence says.
-        off = re.search(rf"the {name}s of \[delta_calibrate\] lie (\S+) mm off", said)
+        off = re.search(rf"the {name}s of \[delta_calibrate\] are (?:all )?(\S+) mm away", said)
         by = float(off[1].replace("\N{MINUS SIGN}", "-")) if off else 0.0
         moved = np.subtract(told, [*wanted.values()]) if len(told) == len(wanted) else np.ones(1)
         most = _SAID if off else _SAME
@@ -47,16 +50,22 @@ def misread(content: bytes, out: Path, said: str) -> str:
             return f"{name}s {wanted} became {told}"
         for end in ends:
             steps = np.array([_three(known[f"{name}{k}_pos{end}"]) for k in wanted])
-            if len(steps) and (apart := _moved(rows, kind, end, steps, stored)) > _SAME:
+            if len(steps) == 0:
+                continue
+            scales = _said_scales(name, said)
+            apart, travel = _moved(rows, kind, end, steps * scales, stored)
+            if apart > _SAME + _SAID_SCALE * travel * (scales != 1.0).any():
                 return f"positions of {name}s are {apart:.3g} mm off"
     return ""
 
 
 def _moved(
     rows: list[dict[str, str]], kind: str, end: str, steps: Array, stored: dict[str, dict[str, str]]
-) -> float:
-    """Largest difference between the travel from the first position and that of the steps, mm."""
-    far, second = 0.0, "2" if end == "2" else ""
+) -> tuple[float, float]:
+    """Largest difference between the travel from the first position and that of the steps, and the
+    largest travel from there, mm.
+    """
+    far, most, second = 0.0, 0.0, "2" if end == "2" else ""
     for k, tower in enumerate("abc"):
         # What a tower's section leaves out is the first one's.
         own = stored["stepper_a"] | stored[f"stepper_{tower}"]
@@ -65,7 +74,29 @@ def _moved(
         travel = [float(r[f"travel_{tower}{second}_mm"]) for r in rows if r["kind"] == kind]
         moved = np.array(travel) - travel[0] + (steps[:, k] - steps[0, k]) * one
         far = max(far, float(np.abs(moved).max()))
-    return far
+        most = max(most, float(np.ptp(travel)))
+    return far, most
+
+
+def _said_scales(name: str, said: str) -> Array:
+    """Ratio of each tower's steps at the readings to those of now, where a sentence says so."""
+    scales = np.ones(3)
+    changed = re.search(
+        rf"the (?:\w+ and )?{name}s (?:and \w+ )?of \[delta_calibrate\] fit the stored numbers with "
+        r"steps(?: of tower (\w))? that are (\S+) % (longer|shorter) than now",
+        said,
+    )
+    if changed:
+        towers = ["abc".index(changed[1])] if changed[1] else [0, 1, 2]
+        scales[towers] += float(changed[2]) * (0.01 if changed[3] == "longer" else -0.01)
+    stored = re.search(
+        rf"of {name}s in \[delta_calibrate\] were stored with (\S+) times the microsteps of now, "
+        r"(?:and|on tower (\w))",
+        said,
+    )
+    if stored:
+        scales[["abc".index(stored[2])] if stored[2] else [0, 1, 2]] /= float(stored[1])
+    return scales
 
 
 def _numbered(section: dict[str, str], name: str) -> dict[int, str]:
