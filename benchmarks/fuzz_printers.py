@@ -82,8 +82,8 @@ def _said_scales(name: str, said: str) -> Array:
     """Ratio of each tower's steps at the readings to those of now, where a sentence says so."""
     scales = np.ones(3)
     changed = re.search(
-        rf"the (?:\w+ and )?{name}s (?:and \w+ )?of \[delta_calibrate\] fit the stored numbers with "
-        r"steps(?: of tower (\w))? that are (\S+) % (longer|shorter) than now",
+        rf"the (?:\w+ and )?{name}s (?:and \w+ )?of \[delta_calibrate\] fit the stored numbers "
+        r"with steps(?: of tower (\w))? that are (\S+) % (longer|shorter) than now",
         said,
     )
     if changed:

@@ -261,7 +261,7 @@ def firmware_of(found: og.Imported) -> Any:
 def residual_sigmas(verdict: og.Verdict) -> Array:
     """Return the residuals of the last fit, in stated sigmas ``(n,)``."""
     read = verdict.readings
-    return np.asarray((read.measured - read.after) / np.hypot(read.sigma, read.common))
+    return np.asarray((read.measured - read.after) / read.sigma)
 
 
 def tool_map(verdict: og.Verdict) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import fuzz
+from benchmarks import fuzz, fuzz_verdicts
 
 
 @pytest.mark.parametrize(
@@ -100,3 +100,22 @@ def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
     part = whole[: int(share * len(whole))]
     case = fuzz.Case(0, {"r.json": part}, ("rerun", "r.json"))
     assert fuzz.run_case(case, tmp_path) == ("", 2)
+
+
+def test_a_verdict_on_sound_readings_is_judged_true() -> None:
+    judged = fuzz_verdicts.judged(0)
+    assert judged.kind == "as read"
+    assert judged.moved < 1e-9
+    assert judged.off == 0.0
+    assert judged.word == "adequate"
+    assert not judged.false
+
+
+def test_a_moved_reading_is_judged_by_its_distance_from_the_fit() -> None:
+    """Readings magnified by less than two sigmas are left as they are, and are no false verdict."""
+    judged = fuzz_verdicts.judged(8)
+    assert judged.kind == "magnified"
+    assert judged.word == "adequate"
+    assert not judged.told
+    assert 1 < judged.off < 2
+    assert not judged.false
