@@ -39,7 +39,7 @@ class Step:
 
     @property
     def percent(self) -> float:
-        """What is done of the computation, per cent: counted, or by the stage of a closed loop."""
+        """Per cent of the computation that is done: counted, or estimated by the stage."""
         return _STAGES[self.stage][1] if self.done is None else self.done
 
 

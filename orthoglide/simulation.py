@@ -179,7 +179,7 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
 def missing_conditions(needs: Collection[str]) -> str:
     """Return the reason why an effect cannot show, by the conditions that it needs, as a clause."""
     if "pitch" in needs:
-        return "the machine file says no screw_pitch_mm"
+        return "the machine file gives no screw_pitch_mm"
     columns = [_CONDITION_COLUMNS[n] for n in sorted(needs) if n in _CONDITION_COLUMNS]
     return f"the sheet does not vary {' and '.join(columns)}"
 

@@ -81,7 +81,7 @@ def test_compensate_states_shape_and_place_apart() -> None:
     achieved = np.linalg.norm(apart - apart.mean(axis=0), axis=1).mean()
     assert achieved < 2 * plan.shape.mean() < 20 * achieved
     assert plan.place > 0.2e-3
-    assert "where the machine as a whole sits is known to 0.3" in str(plan)
+    assert "uncertainty of that translation: 0.3" in str(plan)
     assert not plan.independent
 
 

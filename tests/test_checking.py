@@ -47,7 +47,7 @@ def compared(machine: og.Machine, old: list[rc.Row], new: list[rc.Row]) -> Check
 def test_faults_of_the_data_are_told_with_their_lines(machine: og.Machine) -> None:
     knocked, _ = rc.knocked_stand(rows(2), "yz-0.5", -0.5)
     found = compared(machine, rows(1), knocked)
-    (fault,) = found.told.blunders
+    (fault,) = found.with_changes.blunders
     assert f"- data: {fault.message}" in changes_text(found)
     assert "line" in fault.message
     assert fault.message in unescape(changes_page(found))
@@ -84,7 +84,18 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
     assert "these readings prove their signs" in changes_text(found)
     doubted = changes_text(replace(found, closed=replace(found.closed, word="unexplained")))
     assert "prove their signs" not in doubted
-    assert "once the zeros are right" not in doubted
+    assert "once the zeros are corrected" not in doubted
+
+
+def test_an_advised_command_names_a_file_that_is_written(
+    visited: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It named ``calibrated.toml`` where nothing was written, and without its folder."""
+    words = "orthoglide compensate path.csv --machine calibrated.toml"
+    monkeypatch.setattr("orthoglide.checking.pages.changes_text", lambda _: words)
+    states = ("check", "old.csv", "new.csv", "--machine", RIG / "machine.toml")
+    assert "(DIR/calibrated.toml is written with --out DIR.)" in run(*states).stdout
+    assert "--machine out/calibrated.toml" in run(*states, "--out", "out").stdout
 
 
 def test_both_sides_have_readings(machine: og.Machine) -> None:

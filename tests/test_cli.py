@@ -358,7 +358,7 @@ def test_errors_that_change_no_reading_are_said(here: Path) -> None:
     assert result.exit_code == 0
     lines = result.stderr.splitlines()
     assert [line.partition(" changes no reading, as ")[::2] for line in lines] == [
-        ("warning: screw_error.x.sin", "the machine file says no screw_pitch_mm"),
+        ("warning: screw_error.x.sin", "the machine file gives no screw_pitch_mm"),
         ("warning: drive_compliance.y", "the sheet does not vary load_N"),
         ("warning: thermal_growth.z", "the sheet does not vary temperature_C"),
     ]
@@ -425,7 +425,7 @@ def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.Mo
     monkeypatch.setenv("COLUMNS", "80")
     whole = done("design", *options).splitlines()
     assert 55 < max(map(len, whole)) <= 80
-    assert " looks like " in " ".join(" ".join(whole).split())
+    assert " is most like " in " ".join(" ".join(whole).split())
     monkeypatch.setenv("COLUMNS", "60")
     assert max(map(len, done("design", *options).splitlines())) <= 60
 

@@ -297,7 +297,7 @@ def test_the_sign_rule_is_worked_out_in_words() -> None:
     nominal = controller_numbers(Machine.nominal()).text()
     assert "Axis x, y and z: the zero stays as it is." in nominal
     assert "old zero" not in nominal
-    assert "hold all of it" in text
+    assert "correct all of it" in text
     more = controller_numbers(machine({**DRIVES, "axis_tilt.y.z": 1e-3}))
     assert more.left_over == ("axis_tilt.y.z",)
     assert "no other error that was identified (axis tilt)" in more.text()
@@ -677,7 +677,7 @@ def test_a_file_without_a_calibration_promises_nothing() -> None:
     rows = list(csv.DictReader(io.StringIO(commands_text(found))))
     assert {row["expected_mm"] for row in rows} == {""}
     text = controller_numbers(Machine.nominal()).text()
-    assert "The machine file holds no calibration" in " ".join(text.split())
+    assert "The machine file contains no calibration" in " ".join(text.split())
     assert "Nothing else was identified" not in text
     assert "Enter each" not in text  # no zero changes, and so no sign is to be checked
     assert "signs" not in text

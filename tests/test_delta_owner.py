@@ -105,6 +105,8 @@ def test_every_command_works_or_says_why_not(imported: Path, tmp_path: Path) -> 
     assert (
         "Do not enter new numbers: with them the residual of the heights of" in text
     )  # those tried fit no better
+    assert re.search(r"rms, mm +old +tried", text)
+    assert "position_endstop" not in text  # a table of "new" numbers, which were the old ones
     assert "To paste" not in text
     assert "zero" not in text.replace("z = 0", "")
     assert "origin" not in text

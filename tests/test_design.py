@@ -342,7 +342,7 @@ def test_effects_with_one_signature_are_never_named(machine):
     seen = smallest_effects(machine, protocol("standard"))
     rows = detectable_rows(seen)
     assert "never" in "\n".join(rows)
-    assert any("bar mismatch of leg x looks like " in row for row in rows)
+    assert any("bar mismatch of leg x is most like " in row for row in rows)
     assert "mount tilt (x.a, y.a, z.a)" in rows[-1]
 
 
@@ -392,7 +392,7 @@ def test_a_shift_of_the_whole_machine_is_said_to_be_out_of_sight(machine):
     (found,) = next_measurements(fits["axis_offset.z.x"], [*fits.items()], directions=())
     assert found.aim == "none"
     assert found.rows == ()
-    assert "but for a shift of 0.3" in found.reason
+    assert "but for a translation of 0.3" in found.reason
 
 
 def test_rivals_given_by_values_may_have_parameters_that_the_fit_has_not(machine):
@@ -481,7 +481,7 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
         "standard",
         " design",
         "O1, all unknowns",
-        "TCP, tolerances as priors: sigma 0.003 mm takes",
+        "sigma 0.003 mm of TCP (tolerances as priors) takes",
     ):
         assert word in done.output
     again = CliRunner().invoke(design_command, arguments)

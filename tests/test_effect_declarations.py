@@ -131,7 +131,7 @@ def test_words_are_texts_with_blanks_or_functions() -> None:
     with pytest.raises(InputError, match=r"the blank \{height\}: use size, mm"):
         Words("{height} too high")
     for text in ("100 % { x", "{mm:a} long", "{leg.foo}", "{} long"):
-        with pytest.raises(InputError, match="are no text with blanks"):
+        with pytest.raises(InputError, match="are not a text with valid blanks"):
             Words(text)
 
 

@@ -95,7 +95,8 @@ def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) 
     assert not verdict.blunders
     line = cause.data[0].rows[0]
     (claim,) = claims(verdict)
-    assert claim.first.brief == f"A slip of the reading in calibration, line {line}."
+    what = "A fault of the data: a slip of the reading"
+    assert claim.first.brief == f"{what} in calibration, line {line}."
     assert claim.first.brief in headline(verdict)
     assert f"line {line} of calibration once more" in verdict.actions[0].words
 
@@ -154,7 +155,7 @@ def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     assert not verdict.blunders
     # Import would say of these numbers that rods of one set are not so: so does what offers them.
     assert re.search(
-        r"their arms differ by 1\.\d+ mm.*: measure the rods", verdict.actions[0].words
+        r"the new arms differ by 1\.\d+ mm.*: measure the rods", verdict.actions[0].words
     )
 
 
@@ -174,7 +175,7 @@ def test_what_is_more_probable_than_not_is_told_and_tested() -> None:
     assert verdict.word == "adequate"
     said = headline(verdict)
     assert re.match(
-        r"Perhaps drive b moves [23]\.\d % more than it is told: its probability is 0\.[5-8]\d?,",
+        r"Perhaps drive b moves [23]\.\d % more than commanded: its probability is 0\.[5-8]\d?,",
         said,
     )
     (test,) = (a for a in verdict.actions if a.kind == "confirm")
@@ -221,7 +222,7 @@ def test_rods_that_were_entered_short_stand_first_in_the_class(file: str) -> Non
     assert cause.name == "leg_length.common"
     assert 2.0 < cause.chosen.value < 6.0
     assert "longer than nominal" in cause.chosen.words
-    (size,) = (str(note) for note in verdict.warnings if "% longer than the tool went" in str(note))
+    (size,) = (str(w) for w in verdict.warnings if "% longer than the tool's moves" in str(w))
     assert "distances are 1.01 ± 0.22 % longer" in size
     assert "measure a rod" in size
 

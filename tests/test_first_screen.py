@@ -81,7 +81,7 @@ TOWARD = r"toward (the outside|the centre|the counter-clockwise side|the clockwi
 # How a reader finds leg, way and size of each effect: independent of what writes the sentences.
 READ = {
     "joint_offset": rf"zero of drive (?P<leg>\w) is {SIZE} too far (?P<way>out|in)\b",
-    "encoder_scale": rf"drive (?P<leg>\w) moves {SIZE} (?P<way>more|less) than it is told",
+    "encoder_scale": rf"drive (?P<leg>\w) moves {SIZE} (?P<way>more|less) than commanded",
     "screw_error": rf"drive (?P<leg>\w) runs {SIZE} ahead and behind",
     "backlash": rf"drive (?P<leg>\w) has {SIZE} of lost motion(?P<way> with the wrong sign)?",
     "drive_compliance": rf"drive (?P<leg>\w) (?P<way>gives way|moves against the load) by {SIZE}",
@@ -313,8 +313,8 @@ def test_the_gain_of_one_of_several_causes_is_said_to_be_that() -> None:
     [
         (3e-6, "falls from 0.005 to 0.003 mm rms"),
         (4.9e-6, "hardly falls from 0.0050 to 0.0049 mm rms"),
-        (5e-6, "does not fall, at 0.0050 mm rms"),
-        (6e-6, "does not fall, at 0.006 mm rms"),
+        (5e-6, "does not fall: it is 0.0050 mm rms"),
+        (6e-6, "does not fall: it is 0.006 mm rms"),
     ],
 )
 def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:

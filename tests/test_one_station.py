@@ -44,8 +44,9 @@ def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
 def test_the_sentence_names_all_three(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
-    assert text.startswith("Another command than the one written in c4.csv, line 19. Or the")
-    assert "Or one dial that reads wrong at one place in c4.csv, line 20." in text
+    fault = "fault of the data:"
+    assert text.startswith(f"A {fault} another command than the one written in c4.csv, line 19. Or")
+    assert f"Or a {fault} one dial that reads wrong at one place in c4.csv, line 20." in text
     assert "These readings cannot tell which." in text
 
 

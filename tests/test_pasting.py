@@ -117,10 +117,11 @@ def test_rods_that_were_entered_too_short_are_found_by_distances() -> None:
     made = made_of(studied(list(found.campaigns), Machine(found.machine)))
     assert not made.keep
     assert np.abs(np.array(made.new.arm) - 0.272).max() < 6e-4
-    (size,) = re.findall(r"most of all arm_length of tower b by \+(\d\.\d{3}) mm", made.words)
+    (size,) = re.findall(r"above all arm_length of tower b by \+(\d\.\d{3}) mm", made.words)
     assert float(size) == pytest.approx((made.new.arm[1] - made.old.arm[1]) * 1e3, abs=1e-3)
     assert re.search(
-        r"they make the rods longer, as the distances say .*: measure a rod first", made.words
+        r"new numbers make the rods longer, as the distances say .*: measure a rod first",
+        made.words,
     )
     mesh = import_printer(FIELD / "rods-entered-4mm-short" / "printer-with-mesh.cfg").campaigns[1]
     (unused,) = residual_changes(found.machine.printer.numbers, made.new, [mesh], False)
@@ -147,10 +148,10 @@ def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() ->
     heights = ResidualChange("calibration", "heights", 7, 3e-6, 1.6e-5)
     distances = ResidualChange("calibration", "distances", 12, 2.56e-4, 3.4e-5)
     words = words_with_shorter_rods(heights, distances)
-    assert "of the distances of calibration its equations leave 0.034 mm rms, and 0.256 mm" in words
-    assert "they make the rods shorter, as the distances say" in words
+    assert "residual of the distances of calibration changes from 0.256 to 0.034 mm rms" in words
+    assert "the new numbers make the rods shorter, as the distances say" in words
     words = words_with_shorter_rods(replace(heights, new=2e-6), distances)
-    assert "of heights over the plate its equations leave 0.002 mm rms, and 0.003 mm" in words
+    assert "the residual of heights over the plate changes from 0.003 to 0.002 mm rms" in words
 
 
 def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances() -> None:
@@ -158,7 +159,7 @@ def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances
         ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
         ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
     )
-    assert "they make the rods shorter, as the heights ask, and no distance does: measure" in words
+    assert "make the rods shorter, as the heights ask, and no distance does: measure" in words
     assert "as the distances say" not in words
 
 

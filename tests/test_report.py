@@ -365,7 +365,7 @@ def test_weak_directions_in_words() -> None:
     assert first == (
         "The readings cannot tell axis tilt of leg x toward y and axis offset of leg x toward y "
         "apart: together they may change by 0.4 mm (one sigma of the readings alone, "
-        "without priors), and hardly a reading changes."
+        "without priors), and hardly any reading changes."
     )
     assert "it may change by any amount, and no reading changes" in second
     (many,) = weak_sentences([pair, blind, pair])

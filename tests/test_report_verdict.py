@@ -216,7 +216,7 @@ def test_the_sentence_names_cause_and_rival_and_what_it_gains() -> None:
     assert "Equivalently, the y rail leans" in partial
     faults = headline(verdict_of("faulty"))
     assert faults.startswith("The path of the y carriage is out of square toward z by 2.4 mrad")
-    assert faults.endswith("1 fault in the data had to be dealt with first.")
+    assert faults.endswith("1 data fault was corrected or set aside first.")
     left_out = len(verdict_of("faulty").readings) // 4
     (known,) = verdict_of("faulty").blunders
     many = replace(known, kind="label", rows_in_request=tuple((0, k) for k in range(left_out)))
@@ -231,6 +231,10 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     assert '<li class="confirm">' in page
     assert "No numbers are given to enter" in section
     assert "every command of that drive" not in section
+    assert "calibrated.toml contains the base model alone" in section
+    # An error of zero was shown, as the base model was compared with itself.
+    assert "offsets and lengths corrected" not in page
+    assert "offsets and lengths corrected" in files_of("explained")["report.html"]
     assert "every command of that drive" in words(files_of("explained")["report.html"])
 
 

@@ -35,8 +35,8 @@ after the best translation: now, with new zeros, and with compensated commands.
 ADVICE = {
     "explained": """Confirm the cause by its test, then repair it or compensate for it. Measure
 again afterwards: `orthoglide check` reports what changed.""",
-    "ambiguous": """Look at all the parts named; their tests decide. Readings that would decide come
-first in the report.""",
+    "ambiguous": """Look at all the parts named; their tests decide. Readings that would decide, if
+there are any, come first in the report.""",
     "located": """Look at the part by the curve of the report. The calibrated machine contains the
 curve, so commands can be compensated for it. If it is common on your machines,
 [declare it as an effect](../CONTRIBUTING.md#add-an-effect-in-four-steps).""",
@@ -44,8 +44,8 @@ curve, so commands can be compensated for it. If it is common on your machines,
 anything, and measure where the residual is largest.""",
     "unexplained": """Change nothing by these readings. Take the readings proposed, and look for a
 loose part, a dial that was touched, or dirt.""",
-    "diffuse": """Enter the zeros. No single part is worth a repair; compensation corrects what
-small errors of many parts do to the tool.""",
+    "diffuse": """Enter the zeros. No single part is worth a repair; where the report advises
+compensation, it corrects small errors of many parts.""",
     "adequate": """Enter the zeros. The report lists what these readings cannot show.""",
 }
 """What to do about each verdict, whatever was found."""

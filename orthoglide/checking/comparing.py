@@ -93,7 +93,7 @@ class Check(Framed):
         return build_result(self.closed, Verdict)
 
     @cached_property
-    def told(self) -> Verdict:
+    def with_changes(self) -> Verdict:
         """The verdict with the changes since the old readings, for drawings and actions."""
         return build_result(replace(self.closed, changed=self.changes), Verdict)
 

@@ -21,10 +21,10 @@ def changes_text(comparison: Check) -> str:
     """Return the text for the terminal: changes, remaining errors, and proofs of new zeros."""
     data = _page_data(comparison)
     parts = [f"- {text}" for text in data["said"]]
-    parts += [f"- data: {fault.message}" for fault in comparison.told.blunders]
-    parts += ["", "What is left now:", data["left"], data["tool"]]
-    parts += [f"Caution: {text}" for text in comparison.told.cautions]
-    parts += ["", "What to do:", *action_lines(comparison.told)]
+    parts += [f"- data: {fault.message}" for fault in comparison.with_changes.blunders]
+    parts += ["", "The machine now:", data["left"], data["tool"]]
+    parts += [f"Caution: {text}" for text in comparison.with_changes.cautions]
+    parts += ["", "What to do:", *action_lines(comparison.with_changes)]
     advice = comparison.verdict.firmware
     if advice is not None and advice.corrections is not None:
         source = "from the new readings alone"
@@ -54,13 +54,13 @@ def changes_page(comparison: Check) -> str:
         "columns": COLUMNS,
         "rows": [(sentence(d.words)[:-1], d) for d in comparison.differences],
     }
-    told = comparison.told
+    verdict = comparison.with_changes
     sections = [Section("changes", "", _page_data(comparison) | drawn, folded=False)]
-    if told.blunders:
+    if verdict.blunders:
         sections.append(Section("faults", "Faults of the data"))
     return render_template(
         "page.html.j2",
-        result=told,
+        result=verdict,
         title="What changed on this machine",
         subtitle=f"from {', '.join(comparison.old)} to {', '.join(comparison.new)}",
         sections=sections,
@@ -71,15 +71,15 @@ def changes_page(comparison: Check) -> str:
 
 def _page_data(comparison: Check) -> dict[str, Any]:
     verdict = replace(comparison.verdict, changed=())  # listed by parameter
-    numbers = comparison.told.numbers
+    numbers = comparison.with_changes.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)
     enters_zeros = any(action.kind == "zeros" for action in verdict.actions)
     return {
         "said": [sentence(text) for text in comparison.sentences],
         "left": headline(verdict),
-        "tool": f"The tool is {now} off on average over the workspace, a shift of the whole left "
-        f"out{f'; {zeros} once the zeros are right' * enters_zeros}.",
+        "tool": f"Mean error of the tool after the best translation: {now} now"
+        f"{f', {zeros} once the zeros are corrected' * enters_zeros}.",
         "zeros": f"Once new zeros are entered ({zero} mm), these readings prove their "
         f"signs, each from the new zeros with the dial set to 0 there",
         "checks": [sentence(str(check)) for check in numbers.checks] if enters_zeros else [],

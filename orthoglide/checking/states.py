@@ -54,9 +54,9 @@ def read_states(
         raise InputError(
             f"both states are of machines of different dimensions ({before.machine.spec.title}; "
             f"{after.machine.spec.title}): check compares two states of one; where the file was "
-            f"corrected since, and no number that the controller counts with, give it for both "
-            f"with --machine (machine=); what other numbers of a controller left, close-loop tells "
-            f"from the new readings"
+            f"corrected since, but no number that the controller uses, give it for both with "
+            f"--machine (machine=); if the controller uses other numbers now, run close-loop on "
+            f"the new readings"
         )
     return before, replace(after, machine=before.machine)
 
@@ -83,9 +83,8 @@ def _check_firmware_numbers(name: str, other_name: str, machine: Machine, other:
     if all(marks) and marks[0] != marks[1]:
         raise InputError(
             f"{name} was imported with other numbers of the firmware ({marks[0]}) than "
-            f"{other_name} ({marks[1]}): check compares two states under the same numbers; what "
-            f"the numbers changed between the visits left, close-loop tells from the new readings "
-            f"with the machine.toml of their import"
+            f"{other_name} ({marks[1]}): check compares two states under the same numbers; run "
+            f"close-loop on the new readings, with the machine.toml of their import"
         )
 
 

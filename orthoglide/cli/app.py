@@ -145,7 +145,8 @@ def cli() -> None:
     A machine file (machine.toml) is given by itself or with --machine. --out names a new file or
     folder; without it, the answer is only printed. --quiet prints the answer in one line.
 
-    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed, 130 interrupted.
+    Exit codes: 0 done, 2 bad input or usage, 3 the numerics failed or a rerun differs,
+    130 interrupted.
     """
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from orthoglide.result import Command, Request
     from orthoglide.verdict import Verdict
 
+_UNNAMED = Path("DIR")  # folder in advised commands where --out is absent
 DEMO_FOLDER = "orthoglide-demo"
 DEMO_CAMPAIGN, DEMO_SECOND, DEMO_MACHINE = "experiment2.csv", "experiment3.csv", "made-up.toml"
 
@@ -37,12 +38,12 @@ _run_options = opt.combine_options(
     click.argument("campaigns", nargs=-1, type=opt.PATH),
     opt.machine(),
     opt.out(),
-    opt.names("--own", "Effects or parameters that each campaign has of its own."),
+    opt.names("--own", "Effects or parameters with a separate value for each campaign."),
     opt.file("--fit-tcp", "TCP points that are readings like the others; may be given several "
              "times.", multiple=True),
     click.option("--frame", type=click.Choice(("rigid", "translation", "none")), default="rigid",
                  show_default=True,
-                 help="How the instrument of --fit-tcp may stand to the machine."),
+                 help="Motion of the frame of --fit-tcp that is fitted."),
     opt.noise("from machine file, rows or repeats"),
     opt.seed,
     opt.quiet,
@@ -60,8 +61,8 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
 
     The first machine is that of the papers, from its authors' own readings: what offsets and
     lengths leave, the effects that may be behind it, the error before and after each is added, and
-    what would tell which it is. The second is made up, so that its fault is known: its dials are
-    simulated over a whole sweep, and the fault is found.
+    what would decide between them. The second is made up, so that its fault is known: its dials
+    are simulated over a whole sweep, and the fault is found.
 
     \b
     Example:
@@ -148,7 +149,7 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
 @_run_options
 @_holdout_options
 def close_loop(**options: Any) -> None:
-    """Calibrate, trace what is left beyond the noise to a cause, and write the report.
+    """Calibrate, search for the causes of the residual, and write the report.
 
     \b
     Examples:
@@ -173,7 +174,7 @@ def diagnose(**options: Any) -> None:
 
 @cli.command()
 @_run_options
-@opt.names("--free", "Effects or parameters to identify.  [default: zeros and bar lengths]")
+@opt.names("--free", "Effects or parameters to identify.  [default: joint offsets and leg lengths]")
 @opt.flag("--no-priors", "Do not use the tolerances as priors.")
 @opt.flag("--reduced", "Identify with the analytic reduction.")
 def identify(free: tuple[str, ...], no_priors: bool, reduced: bool, **options: Any) -> None:
@@ -220,12 +221,17 @@ def _answer(result: Verdict, machine: opt.MachineOption, out: Path | None, quiet
 
     if quiet:
         return f"Verdict {result.word}: {meaning(result)}."
-    folder, ranked = out or Path("DIR"), result.request.command == "diagnose"
+    folder, ranked = out or _UNNAMED, result.request.command == "diagnose"
     text = summary(result, ranked, "machine", lambda line: machine.with_typed_paths(line, folder))
+    return _with_files(text, out, "report.html")
+
+
+def _with_files(text: str, out: Path | None, page: str) -> str:
+    """Return a text with the place of the page, or of the calibrated machine that it mentions."""
     if out is not None:
-        return f"{text}\n\n{_report_line(out)}"
-    file = f"{folder / opt.CALIBRATED}"
-    return text + (f"\n({file} is written with --out {folder}.)" if file in text else "")
+        return f"{text}\n\n{_report_line(out, page)}"
+    file = f"{_UNNAMED / opt.CALIBRATED}"
+    return text + (f"\n({file} is written with --out {_UNNAMED}.)" if file in text else "")
 
 
 @cli.command()
@@ -239,7 +245,7 @@ def check(
     states: tuple[Path, ...], machine: opt.MachineOption, out: Path | None, noise: float | None,
     seed: int, quiet: bool,
 ) -> None:  # fmt: skip
-    """Tell what changed between two states of a machine: after a repair, or a year.
+    """Report what changed between two states of a machine: after a repair, or a year.
 
     OLD and NEW are campaigns, or results (their folder or result.json), of which the readings and
     the noise are taken.
@@ -263,10 +269,9 @@ def check(
         old, new = read_states(states[0], states[1], robot, machine.effects)
         changes = compare(old, new, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(changes, step)
-        answer = changes.line if quiet else wrapped(changes_text(changes))
+        text = machine.with_typed_paths(changes_text(changes), out or _UNNAMED)
+        answer = changes.line if quiet else _with_files(wrapped(text), out, "check.html")
     warn(copied_files((*old.given, *new.given)))
-    if out is not None and not quiet:
-        answer += f"\n\n{_report_line(out, 'check.html')}"
     deliver(answer, files, out)
 
 
@@ -276,7 +281,7 @@ def check(
 @opt.out("Folder for the new report; nothing is written if absent.")
 @opt.quiet
 def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool) -> None:
-    """Do a run again from the rows kept in its result, and compare verdict and values.
+    """Repeat a run from the rows kept in its result, and compare verdict and values.
 
     Exit code 0 if they are equal to rounding, or to 0.2 sigma if another version of the program
     wrote the result; 3 if they are not.

@@ -65,11 +65,11 @@ def compensate(
 def _deliver_table(text: str, out: Path | None, answer: str) -> None:
     """Write a table and print the answer; or print the table, the answer on the error stream."""
     if out is not None:
-        deliver(f"{click.format_filename(out)}: {answer}", {out: text})
+        deliver(wrapped(f"{click.format_filename(out)}: {answer}"), {out: text})
         return
     click.echo(text, nl=False)
     if answer:
-        click.echo(answer, err=True)
+        click.echo(wrapped(answer), err=True)
 
 
 @cli.command()
@@ -78,7 +78,7 @@ def _deliver_table(text: str, out: Path | None, answer: str) -> None:
 @_force_option
 @opt.out("Folder for the files; else the controller's numbers are printed.")
 def export(machine: opt.MachineOption, zeros_only: bool, force: bool, out: Path | None) -> None:
-    """Write what other programs take of a calibrated machine.
+    """Write files of a calibrated machine for controllers and other programs.
 
     The controller's numbers with the sign rule written out (controller.txt and .json), and the
     calibrated URDF with its loop closures.
@@ -111,10 +111,10 @@ def compare(
     machine: opt.MachineOption, out: Path | None, effects: tuple[str, ...], no_figures: bool,
     quiet: bool,
 ) -> None:  # fmt: skip
-    """Tell when the simplified model is good enough: every effect at its tolerance.
+    """Report when the simplified model is good enough: every effect at its tolerance.
 
-    For each effect, and for the machine of --machine with all it was identified to have, the six
-    parameters of the simplified model are fitted to the general mechanism; what is left is shown
+    For each effect, and for the machine of --machine with all its identified errors, the six
+    parameters of the simplified model are fitted to the general mechanism; the residual is shown
     at the TCP over the workspace and, on an Orthoglide, in the readings of a sweep.
 
     \b
@@ -136,7 +136,7 @@ def compare(
     table_text = console_text(table(*short_table(worst)))
     good_count = sum(row.good_enough for row in worst)
     written = "" if out is None else f"\n\nwritten: {click.format_filename(out)}"
-    line = f"The simplified model is good enough for {good_count} of {len(worst)}."
+    line = f"The simplified model is good enough in {good_count} of {len(worst)} rows."
     deliver(line if quiet else f"{table_text}\n\n{wrapped(LIMITS)}\n{line}{written}", files, out)
 
 

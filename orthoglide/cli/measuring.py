@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 _DESIGN_COUNT = 24  # readings of a design, as many as the published campaigns have
 _kind_option = click.option(
     "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
-    help="Zero, Max and Min; the stroke in steps, both ways; the same at two places of a leg; two "
-         "dials on a leg at a time, whose difference is read at Zero, Max and Min.",
+    help="standard: Zero, Max and Min; sweep: the stroke in steps, both ways; two-gauges: a sweep "
+         "at two places of a leg; parallelism: the difference of two dials on a leg at Zero, Max "
+         "and Min.",
 )  # fmt: skip
 _INSTRUMENT_KINDS = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
 
@@ -95,10 +96,10 @@ def simulate(
     machine: opt.MachineOption, error: opt.Pairs, out: Path | None, kind: str, sheet: Path | None,
     seed: int, noise: float | None, exact: bool, tcp: Path | None,
 ) -> None:  # fmt: skip
-    """Measure a machine that exists as a file only: a campaign of its readings.
+    """Simulate a campaign: the readings of a machine with known errors.
 
-    Each dial has its own datum and stands up to some placement error off its place, each instrument
-    at the tool has its own datum and frame; readings are noisy and rounded to their resolution.
+    Each dial has a datum and stands off its place by a placement error, each instrument at the
+    tool has a datum and a frame; readings are noisy and rounded to their resolution.
 
     \b
     Example:
@@ -150,8 +151,8 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, max_readi
     reading is on the disk before the next question; the same command goes on where it was.
 
     The verdict is settled when no significant lack of fit is left and no suggested readings would
-    separate two explanations by two standard deviations; that nothing is wrong is believed after 90
-    readings.
+    separate two explanations by two standard deviations; that nothing is wrong is accepted only
+    after 90 readings.
 
     \b
     Examples:
@@ -196,14 +197,15 @@ def _ask(question: str) -> str:
 @click.argument("sheets", nargs=-1, type=opt.PATH, metavar="[SHEET.csv ...]")
 @opt.machine()
 @opt.out("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
-@opt.names("--free", "Effects or parameters it is for.  [default: zeros and bar lengths]")
+@opt.names("--free", "Effects or parameters to identify.  [default: joint offsets and leg lengths]")
 @click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
-@opt.pairs("--want", "Accuracies wanted, in the units of files, TCP=0.01 among them: how often to "
-           "repeat.", "NAME=SIGMA,...")  # fmt: skip
-@opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): what they would tell "
-           "together, and with --out a sheet; with --count as many of the tool's readings as tell "
-           "most together.", _INSTRUMENT_KINDS[1])  # fmt: skip
-@opt.flag("--detect", "Also tell the smallest effects found and named.")
+@opt.pairs("--want", "Wanted accuracies, in the units of files, such as TCP=0.01: prints how often "
+           "to repeat.", "NAME=SIGMA,...")  # fmt: skip
+@opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): prints "
+           "which effects they find and name together, and with --out writes a sheet; with "
+           "--count as many of the tool's readings, those that determine most.",
+           _INSTRUMENT_KINDS[1])  # fmt: skip
+@opt.flag("--detect", "Also print the smallest effects found and named.")
 @opt.noise()
 @opt.seed
 @opt.quiet
@@ -225,7 +227,7 @@ def design(
     opt.exclude(
         "owns", "sheets", "free", "want", "detect", "noise",
         because="every instrument has a sheet and a noise of its own, and its smallest effects "
-        "are told anyway",
+        "are printed anyway",
     )  # fmt: skip
     robot = machine.load()
     if owns:

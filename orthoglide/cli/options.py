@@ -146,7 +146,7 @@ def machine(required: bool = False) -> Decorator:
 
     ending = "." if required else "; the nominal Orthoglide if absent."
     return combine_options(
-        file("--machine", f"Machine file, also by itself{ending}", "FILE.toml",
+        file("--machine", f"Machine file; the option's name may be omitted{ending}", "FILE.toml",
              required=required, callback=combine),
         file("--effects-file", "Python file with effects of your own, beside the catalogue.",
              "FILE.py", is_eager=True),

@@ -29,7 +29,7 @@ _FILES_OUTDATED = (
     "numbers and commands from files older than {} are no longer valid: use those of this result"
 )
 _LOST_MOTION_EXCLUDED = "the stated errors of the tool do not include lost motion: "
-_COMPENSATE_CORRECTS = "orthoglide compensate makes up for it"
+_COMPENSATE_CORRECTS = "orthoglide compensate corrects it"
 _DIAL_REVERSAL_TEST = (
     "read one gauge block twice, first after a shorter block and then after a longer one: the two "
     "readings should differ by {}"
@@ -198,13 +198,13 @@ def _lost_motion_remedy(finding: Cause | Located) -> str:
     """Return what compensates for lost motion, a clause."""
     if isinstance(finding, Located):
         if not all(curve.place.in_model for curve in finding.members):
-            return "neither a controller nor orthoglide compensate makes up for all that it may be"
+            return "neither a controller nor orthoglide compensate corrects all that it may be"
         only_drives = all(curve.place.part == "drive" for curve in finding.members)
     else:
         effects = (e.catalogue.effect_of(e.name) for e in finding.explanations)
         only_drives = all(effect.controller for effect in effects)
     if only_drives:
-        return f"a controller's own setting makes up for it, or {_COMPENSATE_CORRECTS}"
+        return f"a controller's own setting or {_COMPENSATE_CORRECTS}"
     return _COMPENSATE_CORRECTS
 
 

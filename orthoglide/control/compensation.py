@@ -160,13 +160,14 @@ class Compensation(Framed):
             else "from the parameters' covariance"
         )
         lines = [
-            f"{len(self)} points: without compensation expect the TCP to be off by "
-            f"{_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst point",
-            f"with it, expect {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst point: "
-            f"both after one translation of everything (one standard deviation, {method}); "
-            f"a report states the mean over the workspace in place of the rms over these points",
-            f"where the machine as a whole sits is known to {self.place * 1e3:.2f} mm: a datum on "
-            f"the workpiece removes that",
+            f"{len(self)} points: error of the TCP to expect after the best translation, one "
+            f"standard deviation ({method}); a report states its mean over the workspace instead",
+            f"with nominal commands: {_rms(before):.4f} mm rms, {before.max():.4f} mm at the worst "
+            f"point",
+            f"with these commands: {_rms(shape):.4f} mm rms, {shape.max():.4f} mm at the worst "
+            f"point",
+            f"uncertainty of that translation: {self.place * 1e3:.2f} mm; a datum on the workpiece "
+            f"removes it",
             *_GENERAL_NOTES,
         ]
         return "\n".join(lines)

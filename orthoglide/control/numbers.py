@@ -238,7 +238,7 @@ class ControllerNumbers(Framed):
         stages = {"now": "now", "zeros" if self.zeros_alone else "numbers": "with these numbers",
                   "compensated": "with commands from orthoglide compensate"}  # fmt: skip
         errors = [f"{self.expected[k].words} mm {words}" for k, words in stages.items()]
-        return f"Mean error of the tool, one shift of everything removed: {', '.join(errors)}."
+        return f"Mean error of the tool after the best translation: {', '.join(errors)}."
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers for JSON; lengths in millimetres."""
@@ -267,7 +267,7 @@ class ControllerNumbers(Framed):
             f"{self.title}\nLengths in mm, as the controller counts.",
             *([self.zeros.text()] if self.zeros.rows else ()),
             _fill(self.rule),
-            *([_fill(f"Worked. {self.worked}")] if self.worked else ()),
+            *([_fill(f"Example. {self.worked}")] if self.worked else ()),
             *(f"{_fill(meaning)}\n\n{table.text()}" for table, meaning in self.settings),
             *(["\n".join(map(_fill, (instruction, *proofs)))] if self.worked else ()),
             *map(_fill, filter(None, (self.gains, self.rest))),
@@ -280,7 +280,7 @@ class ControllerNumbers(Framed):
         if not self.calibrated:
             return _NOMINAL_TEXT
         if not self.beyond:
-            return "Nothing else was identified: these numbers hold all of it."
+            return "Nothing else was identified: these numbers correct all of it."
         named = list(self.beyond)
         if len(named) > _MAX_NAMED:
             named[_MAX_NAMED:] = [f"{len(named) - _MAX_NAMED} more"]
@@ -394,6 +394,6 @@ _CHECKS_AT_TOOL_TEXT = (
     "the calibration. A zero with the wrong sign doubles what was off."
 )
 _NOMINAL_TEXT = (
-    "The machine file holds no calibration: these are its nominal numbers, and nothing is known of "
-    "how far the real machine is off. Give the calibrated.toml of a result."
+    "The machine file contains no calibration: these are its nominal numbers, and nothing is known "
+    "of how far the real machine is off. Give the calibrated.toml of a result."
 )

@@ -46,14 +46,14 @@ ENCODER_SCALE = Effect(
     ONE,
     1e-4,
     because="0.1 mm over a metre is a poor scale or a screw of class C7",
-    sentence="the drive moves more or less than it is told, in proportion",
+    sentence="the drive moves more or less than commanded, in proportion",
     look_at="the drive's scale in the controller, the screw's lead or a belt's pulley: measure "
     "100 mm of the carriage's travel",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
     words=Words(
-        "drive {leg} moves {size} {more|less} than it is told",
-        "drive {leg} moves more or less than it is told",
-        "the drives move more or less than they are told",
+        "drive {leg} moves {size} {more|less} than commanded",
+        "drive {leg} moves more or less than commanded",
+        "the drives move more or less than commanded",
         confirm="set a dial or a scale on carriage {leg} and command a move of 50 mm: expect "
         "{mm:50e-3} {more|less} than 50 mm",
     ),

@@ -178,27 +178,27 @@ class FreeForm:
     def words(self) -> str:
         """Clause with the location and the kind of the error."""
         if self.part == "drive" and self.leg < 0:
-            return "all drives go wrong along their axes alike with time"
+            return "all drives go equally wrong along their axes with time"
         if self.of_dial:
             if not self.setup:
-                return "all dials read more or less by the way that their plungers came"
+                return "all dials read more or less, depending on the way that their plungers came"
             fault = {
                 "time": "creeps with time",
                 "reading": "is not true over its range",
-                "approach": "reads more or less by the way that its plunger came",
+                "approach": "reads more or less, depending on the way that its plunger came",
             }[self.against]
             if self.bump is not None:
                 fault = "is wrong at one place of its range and nowhere else"
             return f"the dial of {self.setup} {fault}"
         leg = self.names.legs[self.leg]
         preposition = "at" if self.timed else "after"
-        by = "in proportion to" if self.is_line else "by"
+        depending = "in proportion to" if self.is_line else "depending on"
         dependence = {
             "travel": self._travel_words,
-            "approach": "by the side it is approached from",
-            "reversal": "by the way gone since it turned round",
-            "command": f"{by} the command of drive {self.names.legs[self.command_drive]}",
-            "time": "with time" if self.jump is None else f"{preposition} {self.moment}, at once",
+            "approach": "depending on the side it is approached from",
+            "reversal": "depending on the distance since it reversed",
+            "command": f"{depending} the command of drive {self.names.legs[self.command_drive]}",
+            "time": "with time" if self.jump is None else f"suddenly {preposition} {self.moment}",
         }[self.against]
         fault = {
             "drive": f"drive {leg} goes wrong along its axis",
@@ -224,7 +224,7 @@ class FreeForm:
         if self.bump is not None:
             reach = f"within {2e3 * self.wide:.0f} mm of" if self.wide else "at"
             return f"{reach} travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
-        return "in short waves along its travel" if self.short_waves else "by its travel"
+        return "in short waves along its travel" if self.short_waves else "depending on its travel"
 
     @property
     def look_at(self) -> str:

@@ -27,7 +27,7 @@ _TOWER_SIDES = {
     "radial": ("the outside", "the centre"),
     "tangential": ("the counter-clockwise side", "the clockwise side"),
 }
-"""By direction of a leg of a tower the sides that lie along it and against it, seen from above."""
+"""By direction of a tower: the side toward which it points, and the opposite side, from above."""
 
 
 def toward(axis: str, value: float) -> str:
@@ -155,7 +155,7 @@ def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str
         raise
     except (AttributeError, IndexError, ValueError) as error:
         raise InputError(
-            f"the words of an effect, {text!r}, are no text with blanks: {error}"
+            f"the words of an effect, {text!r}, are not a text with valid blanks: {error}"
         ) from None
 
 
@@ -163,13 +163,12 @@ def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str
 class Words:
     """The texts that describe an effect. Those that are absent are made of ``Effect.sentence``.
 
-    Each is a text with blanks, or a function of what is named below. Blanks are ``{leg}`` and
-    ``{setup}`` of the parameter, ``{of_setup}`` and ``{in_setup}``, which are empty without one;
-    ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and
-    ``{%}``, the value in another unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two
-    words by its sign; and by its direction ``{toward}`` and ``{away}``, ``{across}`` without sign,
-    ``{along}`` to set a square, ``{axis}`` with ``{sense}`` of a rotation, and ``{lobe}`` of a
-    plate, degrees.
+    Each is a text with blanks, or a function with the arguments named below. Blanks are ``{leg}``
+    and ``{setup}`` of the parameter, ``{of_setup}`` and ``{in_setup}``, which are empty without
+    one; ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and ``{%}``, the value in another
+    unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two words by its sign; and by its
+    direction ``{toward}`` and ``{away}``, ``{across}`` without sign, ``{along}`` to set a square,
+    ``{axis}`` with ``{sense}`` of a rotation, and ``{lobe}`` of a plate, degrees.
 
     Attributes:
         one: clause for one parameter and its value, SI, with sign, size and unit.

@@ -190,7 +190,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
             return (
                 f"visits to the same {place} scatter by {fault.size * 1e3:.2g} {unit}, which is no "
                 f"noise of such an instrument: rows were exchanged, the readings have another "
-                f"unit, or something is loose; put it right, or {remedy}"
+                f"unit, or something is loose; correct it, or {remedy}"
             )
         case _:
             return _misreading_clause(problem, fault, setup)

@@ -293,7 +293,7 @@ def full_posterior(
     Raises:
         SolverError: if the mean does not converge.
     """
-    # Changes since a calibration, or between campaigns, never ask for a widened base.
+    # Changes since a calibration, or between campaigns, are never fitted by a widened base.
     unknowns = before.problem.unknowns
     if before.problem.earlier_posterior is not None or any(u.name.campaign for u in unknowns):
         return _converge(before, given, first_posterior, fault_keys)
@@ -376,11 +376,11 @@ def _closure_explained(before: Estimate) -> Iterator[None]:
     except ClosureError as error:
         limits = "; ".join(_exceeded_limits(before))
         message = (
-            f"the machine found does not reach all of its stroke: {limits}: put these right in the "
-            "controller or on the machine, or give a shorter stroke in the machine file"
+            f"the identified machine does not reach all of its stroke: {limits}: correct these in "
+            "the controller or on the machine, or give a shorter stroke in the machine file"
             if limits
-            else "the machine found does not close: the readings, or their units, are not those of "
-            "this machine"
+            else "the identified machine does not close: the readings, or their units, are not "
+            "those of this machine"
         )
         raise SolverError(message) from error
 

@@ -105,7 +105,7 @@ def draw_levels(
         on_level = np.abs(places[:, 2] - level) < 1e-3
         shades = values[on_level], colour, scale[colour]
         axes = _draw_level(panel, places[on_level], *shades, axis)
-        axes.set_title(f"{what}, z {signed(level, 0)} mm")
+        axes.set_title(f"{what}, z {signed(level, 0)}")  # mm, as the axes; more is cut off
         return ()
 
     shown_levels = np.unique(levels[[0, len(levels) // 2, -1]])

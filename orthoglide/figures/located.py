@@ -7,19 +7,19 @@ from orthoglide.figures.axes import Panel, padded, panel_drawing, round_ticks
 from orthoglide.figures.style import Drawing
 from orthoglide.result import Curve, Located
 
-_MOST_PANELS = 6  # places of a figure
+_MOST_PANELS = 6  # free-form errors of a figure
 _HEIGHT = 151.0  # of a panel
 
 
 def draw_located(located: Located, number: int) -> Drawing:
     """Return the figure of free-form errors with their 95 % bands; ``number`` counts from 1."""
-    title, shown = "What was found, by place", located.members[:_MOST_PANELS]
+    title, shown = "Free-form errors", located.members[:_MOST_PANELS]
     return panel_drawing(f"located-{number}", title, shown, _draw_curve, _HEIGHT)
 
 
 _AXIS_LABELS = {
     "travel": "travel, mm", "approach": "travel, mm", "time": "time, s", "reading": "reading, mm",
-    "reversal": "way since the drive turned, mm",
+    "reversal": "distance since the reversal, mm",
 }  # fmt: skip
 
 

@@ -92,7 +92,7 @@ def draw_readings(readings: ReadingsShown, before: Array) -> Drawing:
         axes = panel.add_axes(x, below, top=PANEL_HEIGHT - _BOTTOM - _RESIDUALS, bottom=_BOTTOM)
         _draw_residual_panel(axes, setup)
         axes.set_x_axis(round_ticks(x), setup.mounting.label)
-        axes.set_y_axis(round_ticks(below, 2), f"left, {setup.mounting.unit}")
+        axes.set_y_axis(round_ticks(below, 2), f"residual, {setup.mounting.unit}")
         return keys
 
     return panel_drawing("readings", "Readings and fit by setup", setups, draw, PANEL_HEIGHT,

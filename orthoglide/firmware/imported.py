@@ -68,7 +68,7 @@ def note_few_touches(touch_count: int) -> Iterator[Note]:
     """Yield a note if the longest list of touches is too short to find causes."""
     if touch_count < _FEW_TOUCHES:
         yield Note(
-            f"{touch_count} touches of the plate leave hardly anything to look for a cause with: "
+            f"{touch_count} touches of the plate are too few to distinguish causes: "
             f"probe a grid of 9 by 9 or more over a round bed's full radius",
             "mesh",
         )

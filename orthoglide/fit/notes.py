@@ -88,7 +88,7 @@ def copy_notes(problem: Problem) -> Iterator[Note]:
         if table.by_point and (lines := copied_point_lines(table)):
             text = (
                 f"{_line_list(table, lines)}: the same point as before to the last "
-                f"digit: a copy tells nothing that the other does not, so leave it out"
+                f"digit: a copy adds no information, so leave it out"
             )
             yield Note(text, "copies", lines)
         elif count := count_copied_repeats(table):
@@ -112,7 +112,7 @@ def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Itera
             f"{signed_size(catalogue.effect_of(unknown.name), value)}, "
             f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
             f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it; if it is "
-            f"so and stays, enter a larger tolerance in the machine file"
+            f"so and will not be repaired, enter a larger tolerance in the machine file"
         )
         yield Note(text, "tolerance")
 
@@ -210,11 +210,11 @@ def _line_list(readings: Readings, lines: tuple[int, ...]) -> str:
 
 _MAX_SIZE_SIGMAS = 2.0  # sigmas: one part in twenty is off by more, if nothing is wrong
 _SIZE_ADVICE = (
-    "what is beyond that is of the rods, of the drives (belt pitch, microsteps), of the part or of "
-    "the calliper: measure a rod between its holes, 100 mm of a carriage's travel, and a gauge "
+    "the rods, the drives (belt pitch, microsteps), the part or the calliper cause the remainder: "
+    "measure a rod between its holes, 100 mm of a carriage's travel, and a gauge "
     "block with the calliper, and give the first two under [measured] of the machine file"
 )
-_MEAN_SIZE_SENTENCE = "printed parts are {} % smaller than they were commanded"
+_MEAN_SIZE_SENTENCE = "printed parts are usually {} % smaller than commanded"
 
 
 def part_size_notes(problem: Problem) -> Iterator[Note]:
@@ -244,7 +244,7 @@ def _part_size_note(problem: Problem, factor: Factor) -> Note:
     text = (
         f"{source(factor.readings)}: by the nominal numbers of the machine file, distances are "
         f"{with_sigma(abs(size) * 1e2, sigma * 1e2)} % {'longer' if size > 0 else 'shorter'} "
-        f"than the tool went; {_MEAN_SIZE_SENTENCE.format(with_sigma(mean * 1e2, sd * 1e2))}"
+        f"than the tool's moves; {_MEAN_SIZE_SENTENCE.format(with_sigma(mean * 1e2, sd * 1e2))}"
     )
     beyond = abs(scale) > _MAX_SIZE_SIGMAS * float(np.hypot(sigma, sd))
     unexplained = beyond and not machine.spec.measured.rods

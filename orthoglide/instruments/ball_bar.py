@@ -86,8 +86,8 @@ class BallBar(Observation):
         if height > _MIN_PLANE_DISTANCE * size:
             yield (
                 f"its places lie in one plane, and the ball {compact(height * 1e3, 2)} mm beside "
-                f"it; on which side no reading says, below was taken: on the other one, what is "
-                f"told of the machine across that plane has the other sign; read places out of it "
+                f"it: no reading shows on which side, and below is assumed; if it is above, errors "
+                f"of the machine across that plane have the opposite sign; read places out of it "
                 f"as well",
                 "mirrored",
             )

@@ -83,7 +83,7 @@ class LegDial(Observation):
     instrument_phrase = "dials on the legs"
     quantity_phrase = "leg {1} along {0}"
     sheet_instruction = "reading_mm is what the dial shows"
-    nuisance_summary = "datum, and the dial's place along the leg to its placement"
+    nuisance_summary = "datum, and the dial's place along the leg within its placement"
     repeatability = 2e-5  # stated in 2008, section 4.1
     dials = 1
     protocol: ClassVar[Literal["sweep", "parallelism"]] = "sweep"

@@ -80,8 +80,8 @@ def parse_answer(answer: str) -> Decimal | AnswerWord:
 
 SETTLED_CRITERION = (
     "The verdict is settled when no significant lack of fit is left and no suggested readings "
-    "would separate two explanations by two standard deviations; that nothing is wrong is believed "
-    "after 90 readings."
+    "would separate two explanations by two standard deviations; that nothing is wrong is accepted "
+    "only after 90 readings."
 )
 """The criterion, in words."""
 
@@ -100,7 +100,7 @@ sweep sheet does, or less (``orthoglide.smallest_effects``)."""
 _CLEARANCE = 8e-3
 """Metres that a dial keeps from the ends of its leg, over the whole stroke, times `dial_scale`."""
 
-_MIN_READINGS_NOTHING_WRONG = 90  # readings after which it is believed that nothing is wrong
+_MIN_READINGS_NOTHING_WRONG = 90  # readings before which it is not accepted that nothing is wrong
 _MAX_SHEETS = 6  # after so many nobody goes on
 
 
@@ -143,7 +143,7 @@ def next_step(
     elif not outcome.found and taken < _MIN_READINGS_NOTHING_WRONG:
         reason, sheet = "nothing was found yet", opening_sheet(outcome.request.machine, number)
     else:
-        return None, "no further readings within reach would tell more", outcome.stands
+        return None, "no further readings within reach would add information", outcome.stands
     if len(sheet) > readings_left or number >= _MAX_SHEETS:
         return None, f"{reason}, and no more readings were to be taken", False
     # No two sheets have mountings of one name.

@@ -69,6 +69,6 @@ def copied_files(tables: Sequence[Readings]) -> Iterator[str]:
             if len(table) == len(other) and shared_fraction(table, other) == 1.0:
                 yield (
                     f"the readings of {table.name} are those of {other.name} to the last digit: a "
-                    f"copy tells nothing that the other does not, so leave one of them out"
+                    f"copy adds no information, so leave one of them out"
                 )
                 break

@@ -227,14 +227,14 @@ class Repeats:
 
     def __str__(self) -> str:
         wanted, sigma, floor = (v / self.unit.si for v in (self.wanted, self.sigma, self.floor))
-        request = f"{self.what}, tolerances as priors: sigma {wanted:.3g}{self.unit.behind}"
+        request = f"sigma {wanted:.3g}{self.unit.behind} of {self.what} (tolerances as priors)"
         if self.repeats is None:
             return (
                 f"{request} is out of reach of repeats: {sigma:.3g} with one visit, "
                 f"{floor:.3g} with any number"
             )
         visits = "visit" if self.repeats == 1 else "visits"
-        return f"{request} takes {self.repeats} {visits} to every station (then {sigma:.3g})"
+        return f"{request} takes {self.repeats} {visits} to every station, which gives {sigma:.3g}"
 
 
 def repeats_needed(

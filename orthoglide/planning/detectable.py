@@ -115,7 +115,7 @@ class Detectability(Framed):
 
 def detectable_rows(sheet: Detectability, beyond: float = 0.0) -> list[str]:
     """Return rows of text, one for each group of :attr:`Detectability.alike`: the sizes from which
-    all of it are found and named, and what the hardest of them looks like.
+    all of it are found and named, and what the hardest of them is most like.
 
     Args:
         sheet: what it detects.
@@ -134,7 +134,7 @@ def detectable_rows(sheet: Detectability, beyond: float = 0.0) -> list[str]:
             lines.append(f"    of {parameters}")
         if nearest:
             alternative = parameter_words(nearest, legs)
-            lines.append(f"    {parameter_words(hardest, legs)} looks like {alternative}")
+            lines.append(f"    {parameter_words(hardest, legs)} is most like {alternative}")
     groups: dict[str, list[str]] = {}
     for name in sheet.invisible:
         groups.setdefault(legs.effect_words(name.effect), []).append(name.behind)

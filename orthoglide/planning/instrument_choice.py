@@ -104,7 +104,7 @@ def suggest_instruments_for_located_errors(members: ClassMembers) -> tuple[Sugge
         if not p.problem.factors[0].readings.touching.any()
     )  # fmt: skip
     return _suggest_instruments(
-        "places", [rivals], proposals, lambda new, pairs: _place_separations(members, new)
+        "free-form errors", [rivals], proposals, lambda new, pairs: _place_separations(members, new)
     )
 
 
@@ -204,7 +204,7 @@ def _one_factor_problem(
     )
 
 
-# -- what it would tell ----------------------------------------------------------------------------
+# -- what it would decide --------------------------------------------------------------------------
 
 
 def _place_separations(members: ClassMembers, new: Problem) -> list[float]:
@@ -293,9 +293,9 @@ def _sentences(
         if len(names) > _MAX_NAMED:
             names[_MAX_NAMED:] = [f"{len(names) - _MAX_NAMED} more"]
         least = f"{min(sigmas.values()):.0f} sigma or more"
-        yield f"it tells {first.words} from {listed(names)}, by {least}"
+        yield f"it separates {first.words} from {listed(names)}, by {least}"
     if unseparated := [pair for pair in pairs if not proposal.separates(pair)]:
         a, b = unseparated[0]
         others = [p.brief for p in proposals if p.separates((a, b))]
         other = f"for that take {others[0]}" if others else "as none of these does"
-        yield f"it does not tell {a.words} from {b.words}, {other}"
+        yield f"it does not separate {a.words} from {b.words}, {other}"

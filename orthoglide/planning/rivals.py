@@ -41,7 +41,7 @@ _MIN_SIGMAS = 1.0  # least separation of a pair for which readings are proposed
 _MAX_SIGMA_RATIO = 0.9  # largest sd after / before for which readings are proposed
 _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are determined well enough
 _MOUNTING_COST = 4.0  # cost of mounting a dial and taking its first two readings, in readings
-_MIN_SHAPE_RATIO = 0.02  # of the shift between two machines: less is no difference in shape
+_MIN_SHAPE_RATIO = 0.02  # relative to the translation: a smaller difference in shape is ignored
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
 _MAX_LOCATED_ERRORS = 6  # located errors to separate: the likeliest
 _READINGS_PER_CLASS = 12  # most readings proposed for the located errors of one class
@@ -95,8 +95,8 @@ def next_measurements(
             sequence stands for none.
 
     Raises:
-        InputError: if ``fit`` is no estimate, or where there is something to choose and ``count``
-            is not a whole number from 2 to 500.
+        InputError: if ``fit`` is no estimate, or if readings are to be chosen and ``count`` is
+            not a whole number from 2 to 500.
     """
     if not isinstance(fit, Estimate):
         raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
@@ -184,7 +184,7 @@ def _suggest_separating(
     size = len(pool)
     for text, close in (
         (
-            f"are not separated by {count} readings of dials on the legs: these tell them apart by "
+            f"are not separated by {count} readings of dials on the legs: these separate them by "
             f"{{:.1f}} sigma, so take more of the {size} possible ones",
             by_choice,
         ),
@@ -253,10 +253,10 @@ def _tcp_consequence(machine: Machine, rivals: Sequence[Rival], noise: float) ->
     if max(shift, shape) < noise:
         return "Their TCPs are the same, too"
     if shape < max(_MIN_SHAPE_RATIO * shift, noise):
-        return f"Their TCPs are the same but for a shift of {shift * 1e3:.2g} mm"
+        return f"Their TCPs are the same but for a translation of {shift * 1e3:.2g} mm"
     return (
-        f"Their TCPs differ by up to {shape * 1e3:.2g} mm after the best shift: measure the TCP, "
-        "or look at the parts themselves"
+        f"Their TCPs differ by up to {shape * 1e3:.2g} mm after the best translation: measure the "
+        "TCP, or look at the parts themselves"
     )
 
 

@@ -61,12 +61,12 @@ class LinearRows:
 
 
 class Formula:
-    """A kind's formula as CasADi functions of rows.
+    """The formula of a kind of reading, as CasADi functions of rows.
 
     Args:
-        observation: the kind.
-        effects: of its instrument, ``D`` parameters a setup.
-        numbers: of a mounting, ``M``.
+        observation: the kind of reading.
+        effects: effects of its instrument, with ``D`` parameters for a setup.
+        numbers: count ``M`` of the numbers that describe a mounting.
 
     Attributes:
         function: (pose ``(12,)``, other pose ``(12,)``, mounting ``(M,)``, nuisances ``(K,)``,
@@ -106,7 +106,7 @@ class Formulas:
         return tuple(str(n) for e in self.effects(observation) for n in e.parameters((setup,)))
 
     def formula(self, observation: Observation, numbers: int) -> Formula:
-        """Return a kind's formula for mountings of ``numbers`` numbers."""
+        """Return the formula of a kind for mountings that ``numbers`` numbers describe."""
         key = observation.kind, numbers
         if key not in self._formulas:
             self._formulas[key] = Formula(observation, self.effects(observation), numbers)
@@ -129,7 +129,7 @@ class KindReadings:
 class MeasurementModel:
     """Readings of one table with their instruments in place."""
 
-    readings: Readings  # of any kinds; their values do not count
+    readings: Readings  # of any kinds; the measured values are not used
     # of every setup's instrument; in the base frame where absent
     instrument_poses: tuple[InstrumentPose, ...] = ()
     # places on plates over their largest measured radius (n, 2), along axes that turn with the
@@ -151,7 +151,7 @@ class MeasurementModel:
 
     @cached_property
     def first_output(self) -> NDArray[np.int64]:
-        """First of the numbers of a posture that each reading follows ``(n,)``."""
+        """Index in a posture's outputs of the first number that each reading needs ``(n,)``."""
         leg = self.readings.leg
         return np.where(leg >= 0, LINES.start + POSE_SIZE * leg, 0)
 
@@ -277,7 +277,7 @@ class MeasurementModel:
             model: of the machine.
             values: all parameters that are not zero, SI.
             merged: as :meth:`postures` returns it.
-            count: of the quantities ``P`` that move the postures.
+            count: number ``P`` of the quantities that move the postures.
             differentiate: from conditions ``(k,)`` to the outputs of their postures, and the
                 derivative of these by the quantities ``(k, 48, P)``.
         """

@@ -141,7 +141,7 @@ def _run_campaigns(
         text = f"campaign {campaigns - left} of {campaigns}"
         if done and left:
             seconds = left * (time.monotonic() - began) / done
-            text += f", about {seconds:.0f} s" if seconds < 90 else f", {seconds / 60:.0f} min"
+            text += ", about " + (f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min")
             text += " left"
         progress(Step("computing", text, 100 * (campaigns - left) / campaigns))
 

@@ -24,7 +24,7 @@ _NO_OPTION = -1  # option of a statement that no drawing shows
 
 @dataclass(frozen=True)
 class Statement:
-    """One cause or place in words."""
+    """One cause or free-form error in words."""
 
     words: str  # a sentence with part, direction, size and unit
     sure: str  # its probability, and the uncertainty of its size

@@ -35,7 +35,7 @@ def _rms_change(before: Scores, after: Scores) -> str:
         figures = distinct_figures(was, now)
         text = f"{verb if verb != last else ''} from {' to '.join(figures)} {unit} rms".strip()
         stays = now >= was or figures[0] == figures[1]
-        parts.append(f"does not fall, at {figures[1]} {unit} rms" if stays else text)
+        parts.append(f"does not fall: it is {figures[1]} {unit} rms" if stays else text)
         last = "" if stays else verb
     return ", and ".join(parts)
 
@@ -97,8 +97,8 @@ def _offset_and_length_sentence(weak: list[WeakDirection], legs: list[str]) -> s
     text = (
         f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
         f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
-        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly a reading changes. Their difference is "
-        f"what is seen."
+        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly any reading changes. They show "
+        f"the difference of the two."
     )
     return text + _prior_sentence(widest)
 
@@ -119,7 +119,7 @@ def _direction_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
     elif len(words) == 1:
         text = f"The readings hardly see the {words[0]}: it"
     widest = best_of(weak, lambda w: w.sigma)
-    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS}), and hardly a"
+    size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS}), and hardly any"
     if math.isinf(widest.sigma):
         size = "any amount, and no"
     return f"{text} may change by {size} reading changes.{_prior_sentence(widest)}"

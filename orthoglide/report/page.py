@@ -80,7 +80,7 @@ def _sections(result: Result, sheet: str) -> Iterator[Section]:
     if result.blunders:
         yield Section("faults", "Faults of the data")
     if searches and not result.stands:
-        yield Section("left", "What is left", folded=False)
+        yield Section("left", "The residual", folded=False)
     if result.corrections is not None:
         yield Section("firmware", "Numbers for the firmware", folded=False)
     controller = {"drives": ()} if result.firmware else sections.controller(result)

@@ -51,8 +51,8 @@ class ScoreRow(NamedTuple):
 
 _ALIGNMENTS = {
     "none": "as they are",
-    "translation": "best shift removed",
-    "rigid": "best rigid motion removed",
+    "translation": "after the best translation",
+    "rigid": "after the best rigid motion",
 }
 
 

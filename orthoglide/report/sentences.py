@@ -25,6 +25,7 @@ _BASE_FITS_P = 0.05  # probability of the residuals of the base model above whic
 _MIN_EXCLUDED_SHARE = 0.1  # share of excluded readings from which their number is stated
 _ROUNDING_RATIO = 1.05  # noise of a reading over the declared noise from which rounding is stated
 _MIN_RELATIVE_SIGMA = 0.1  # relative uncertainty of a gain from which it is stated
+_SQUARES = "{:.0f} % of the sum of squares"
 _MIN_SIGMA = 5e-5  # millimetres: smallest uncertainty that four decimals show
 
 NOTHING_SHOWN = (
@@ -37,7 +38,8 @@ MEANINGS: Mapping[str, str] = {
     "diffuse": "small errors of many parts explain the readings, and no single cause was added",
     "explained": "a cause was found, and nothing significant is left",
     "ambiguous": "something was found, but other explanations fit these readings as well",
-    "located": "a place was found that no known shape explains, and nothing significant is left",
+    "located": "a part moves in a way that no known cause describes, and nothing significant is "
+    "left",
     "partial": "something was found, and something significant is left",
     "unexplained": "the model does not fit, and no cause explains the difference",
 }
@@ -133,19 +135,21 @@ def _change_sentences(changes: Iterable[Change]) -> str:
 
 def _fit_evidence(result: Result) -> str:
     base, improvement = base_effects(result), improvement_words(result.start, result.after.scores)
-    condition = "With this in the model" if result.found else f"With the {base} corrected"
+    several = len(result.effects) + len(result.located) > 1
+    findings = "these findings" if several else "this finding"
+    condition = f"With {findings} in the model" if result.found else f"With the {base} corrected"
     if result.word == "unexplained":
         return f"{condition}, {improvement}."
     if result.word == "partial":
         return (
-            f"With it in the model, {improvement}, and nothing known explains the rest. "
+            f"{condition}, {improvement}, and nothing known explains the rest. "
             f"{_why_significant(result)}{largest_residual_text(result)}"
         )
     if too_few_to_test(result):
         if not result.found:
             improvement = improvement_words(result.nominal, result.before.scores)
         return f"{condition}, {improvement}. Too few readings are left over to judge that."
-    contents = ["this" if result.found else f"the corrected {base}"]
+    contents = [findings if result.found else f"the corrected {base}"]
     if result.improved and not result.found:
         contents.append("small errors of everything else")
     if result.shapes_of_plate:
@@ -184,7 +188,7 @@ def largest_residual_text(result: Result) -> str:
         )
     shares = [one.share for one in result.left.mountings]
     if shares and (points := 1 - sum(shares)) > max(shares):
-        return f" The residual is largest at the TCP points ({100 * points:.0f} % of it)."
+        return f" The residual is largest at the TCP points ({_SQUARES.format(100 * points)})."
     if result.left.dials_hold_most:
         one = result.left.by_dial[0]
         where = f"on leg {LEGS[one.leg]} read along {LEGS[one.axis]}{_file_words(result, one.file)}"
@@ -209,7 +213,7 @@ def _largest_part(result: Result, share: float, where: str, size: str) -> str:
     """Return where the residual is largest, and whether it is spread evenly over the setups."""
     setups = len(result.left.by_dial) + len(result.left.by_instrument)
     spread = ", so it is spread over the setups" if setups > 1 and share * setups < 2 else ""
-    part = f"{100 * share:.0f} % of its squares{spread}"
+    part = f"{_SQUARES.format(100 * share)}{spread}"
     return f" The residual is largest {where} ({part}). There {size}."
 
 
@@ -218,10 +222,10 @@ def _single_causes_text(result: Result) -> str:
     if not result.alone:
         return ""
     first, *others = (one.words for one in result.alone[:_MOST_ALONE])
-    text = " ".join([sentence(first), *(f"Or {words}." for words in others)])
+    text = " ".join([f"{first}.", *(f"Or {words}." for words in others)])
     if (more := len(result.alone) - _MOST_ALONE) > 0:
         text += f" Or {more} more named below."
-    return f" If a single cause explains most of it, it is one of these. {text}"
+    return f" If a single cause explains most of the residual, it is one of these: {text}"
 
 
 def _unexplained_text(result: Result) -> str:
@@ -322,7 +326,7 @@ def _one_sided_effects(result: Result) -> list[str]:
 
 
 _SIDE_REASONS = {
-    "fixed": "a probe always comes from above, and sides of distances are not known",
+    "fixed": "a probe always comes from above, and how distances are approached is not known",
     "same": "every place was approached from the same side, so approach some from the other too",
     "unknown": f"{APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}",
 }
@@ -341,7 +345,7 @@ def data_faults_text(result: Result) -> str:
     """Return the number of data faults, and how many readings were excluded for them."""
     if not (count := len(result.blunders)):
         return ""
-    faults = f"{count} fault{'s' if count > 1 else ''} in the data had to be dealt with first"
+    faults = f"{count} data fault{'s were' if count > 1 else ' was'} corrected or set aside first"
     if stray := sum(w.kind == "stray" for w in result.warnings):
         faults += f", and {stray} touch{' does' if stray == 1 else 'es do'} not count"
     excluded = {row for one in result.blunders if one.excluded for row in one.rows_in_request}

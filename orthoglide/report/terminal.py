@@ -111,7 +111,7 @@ def action_lines(result: Result) -> Iterator[str]:
 
 
 def console_text(parts: Iterable[RenderableType]) -> str:
-    """Return the parts below each other, as wide as the terminal."""
+    """Return the parts one below the other, as wide as the terminal."""
     from rich.console import Console
 
     stream = io.StringIO()
@@ -147,7 +147,7 @@ def _tables(result: Result, all_candidates: bool) -> Iterator[Table]:
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Table]:
-    """Yield a table for the terminal if there are rows; only spaces are broken, so no number is."""
+    """Yield a table for the terminal if there are rows; lines break at spaces, not in numbers."""
     from rich import box
     from rich.table import Table
 

@@ -33,8 +33,8 @@ class Action:
     # `measure`
     kind: Annotated[Kind, Key("action")]
     words: str  # what to do, a sentence without its full stop
-    # decrease of the tool's mean error over the workspace, best shift removed, or for numbers of a
-    # firmware of the residual of its equations; nan for actions that change nothing on the machine
+    # decrease of the tool's mean error over the workspace after the best translation, or for
+    # numbers of a firmware of the residual of its equations; nan for actions that change nothing
     gain: SampledMetres = math.nan
     gain_sigma: SampledMetres = math.nan  # standard deviation of `gain`; nan if unknown
     options: tuple[Suspect, ...] = ()  # causes to look for, most probable first

@@ -60,7 +60,8 @@ class Workspace:
         """Return what table and figure show, in words, each with its values ``(g,)``, errors before
         the radius; ``improved``: whether the final model differs from the base model.
         """
-        corrected = [("with offsets and lengths corrected", self.before)] if improved else []
+        shown = improved and self.left.any()  # nothing is left if the base model was calibrated
+        corrected = [("offsets and lengths corrected", self.before)] if shown else []
         errors = [("predicted error now", self.nominal), *corrected]
         return [*errors, ("95 % radius afterwards", self.sure)]
 

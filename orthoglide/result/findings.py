@@ -231,10 +231,10 @@ class DataRival:
     @property
     def brief(self) -> str:
         """The fault with its file and its lines, a clause."""
-        what = FAULT_NAMES.get(self.data, "a fault of the data")
+        what = FAULT_NAMES.get(self.data, self.data)
         if self.data == "outlier" and len(set(self.rows)) > 1:
             what = "one dial that reads wrong at one place"
-        return f"{what} in {self.file}, {self.lines}"
+        return f"a fault of the data: {what} in {self.file}, {self.lines}"
 
     @property
     def lines(self) -> str:

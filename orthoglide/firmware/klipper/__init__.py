@@ -153,9 +153,9 @@ class Printer:
         )  # fmt: skip
         if sizes:
             yield Note(
-                f"assumed, as no firmware stores it: {sizes}; sizes of causes that turn the "
-                f"platform go with that, and their uncertainty does not count it: measure it and "
-                f"correct it in the machine file",
+                f"assumed, as no firmware stores them: {sizes}; sizes of causes that turn the "
+                f"platform depend on these, which their uncertainty leaves out: measure them, and "
+                f"correct them in the machine file",
                 "assumed",
             )
 

@@ -100,11 +100,11 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
                 "as the distances say (a part that shrank makes distances shorter): measure a rod "
                 "first"
             )
-        rods = f"; they make the rods {longer}, {why}"
+        rods = f"; the new numbers make the rods {longer}, {why}"
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
-            f"; their arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: measure "
-            f"the rods before you enter them"
+            f"; the new arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: "
+            f"measure the rods before you enter them"
         )
     return Corrections(
         rows=[(" ".join(key), value, offered.values[key]) for key, value in old.values.items()],
@@ -114,7 +114,7 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
         ],
         height=(before, after),
         keep=keep,
-        words=f"most of all {_largest_change(old, new)}; {_gain_clause(record)}{rods}",
+        words=f"above all {_largest_change(old, new)}; {_gain_clause(record)}{rods}",
         where=PASTE_INSTRUCTIONS,
         kept=record,
         file=CONFIG_FILE,
@@ -136,7 +136,7 @@ def _gain_clause(record: Mapping[str, Any]) -> str:
         what = f"the {most['kind']} of {most['file']}"
         before, after = most["old_rms_mm"], most["new_rms_mm"]
     return (
-        f"of {what} its equations leave {after:.3f} mm rms, and {before:.3f} mm with the old ones"
+        f"by its equations the residual of {what} changes from {before:.3f} to {after:.3f} mm rms"
     )
 
 
@@ -167,17 +167,14 @@ def make_paste(old: Numbers, record: Any) -> Paste:
     columns = {"drive": [*drive], "old": [*map(float, before)], "new": [*map(float, after)]}
     number_lines = [f"  {name:28}{was:>14}{new:>14}" for name, was, new in corrections.rows]
     residual_lines = [f"  {name:40}{was:>8}{new:>8}" for name, was, new in corrections.left]
-    tables = (
-        "\n".join((f"{corrections.file:30}{'old':>14}{'new':>14}", *number_lines)),
-        "\n".join((
-            "Left of the readings by its equations, rms, mm, old and new:", *residual_lines
-        )),
-    )  # fmt: skip
+    numbers = "\n".join((f"{corrections.file:30}{'old':>14}{'new':>14}", *number_lines))
+    title, last = "residual of its equations, rms, mm", "tried" if corrections.keep else "new"
+    residuals = "\n".join((f"{title:42}{'old':>8}{last:>8}", *residual_lines))
     paragraphs: tuple[str, ...] = (
-        _ENTER_ALL, *tables, corrections.where,
+        _ENTER_ALL, numbers, residuals, corrections.where,
         "\n".join(("To paste:", *corrections.paste)), "\n".join(("To undo:", *corrections.undo)),
     )  # fmt: skip
     if corrections.keep:
-        paragraphs = (*tables, f"Do not enter new numbers: {corrections.keep}.")
-    last = "What no number of the firmware holds stands in the report."
-    return Paste(columns, facts | dict(record), (*paragraphs, last))
+        paragraphs = (residuals, f"Do not enter new numbers: {corrections.keep}.")
+    rest = "The report lists the errors that no number of the firmware can correct."
+    return Paste(columns, facts | dict(record), (*paragraphs, rest))
