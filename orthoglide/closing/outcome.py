@@ -18,7 +18,7 @@ from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
-from orthoglide.observations.touched_plates import disagreements
+from orthoglide.observations.touched_plates import file_disagreements
 from orthoglide.result import (
     BudgetItem,
     DataFault,
@@ -201,10 +201,7 @@ class RunOutcome(Judged, CredibleSets):
         add-on states on import.
         """
         spec = self.request.machine.spec
-        if spec.kinematics is None:
-            return ()
-        relative = spec.printer is None or spec.printer.meshes_relative
-        found = disagreements(spec.kinematics, self.request.points, relative=relative)
+        found = file_disagreements(spec, self.request.points)
         known = () if spec.printer is None else spec.printer.changed_since
         return tuple(text for *_, note in found if (text := sentence(note)) not in known)
 

@@ -49,6 +49,7 @@ from orthoglide.fit.reading_tables import row_indices
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
+from orthoglide.observations.touched_plates import file_disagreements
 from orthoglide.result import DataFault
 
 _ROUNDS = 6
@@ -106,7 +107,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
                 base = fit_nested(with_smaller_noise(base.problem, ratios))
                 posterior = posterior_with_corrected_commands(base)
             misreading = _find_misreading(base, posterior, faults_found)
-        found = credible_faults(posterior)
+        found = _without_contradictory_lists(problem, credible_faults(posterior))
         faults = _certain_faults(base, found) if misreading is None else [misreading]
         if contradictions:
             faults = _without_slips(faults)
@@ -128,6 +129,21 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
         found.ambiguous,
         (*contradictions, *unsettled, *_probable_fault_notes(posterior.before.problem, found)),
     )
+
+
+def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> CredibleFaults:
+    """Return the data faults without those of lists of touches that are not of one plate and one
+    set of numbers: the difference of two lists is no fault of their touches.
+    """
+    tables = [factor.readings for factor in problem.factors]
+    apart = {name for *names, _ in file_disagreements(problem.machine.spec, tables)
+             for name in names}  # fmt: skip
+    if not apart:
+        return found
+    contradictory = np.concatenate([table.touching & (table.name in apart) for table in tables])
+    certain = [f for f in found.certain if f.kind == "moved" or not contradictory[f.rows].any()]
+    probable = [pair for pair in found.probable if not contradictory[pair[0].rows].any()]
+    return found._replace(certain=certain, probable=probable)
 
 
 def _certain_faults(base: Estimate, found: CredibleFaults) -> list[Fault]:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.faults import (
@@ -43,6 +44,10 @@ _DIFFERENCE_STEP = 1e-5  # metres, of a difference quotient
 _EXPECTED_FAULTS = 0.5
 """Prior mean number of data faults in all readings, in equal shares of the kinds that are possible
 for these readings."""
+
+_PILLAR_WIDTH = 0.01
+"""Metres within which ends of distances are sides of one pillar: those of the firmware's part are
+9 mm wide."""
 
 _MOST_ZEROINGS = 12  # times that a dial is set to zero anew
 _SHIFTS = 64  # of twice as many moments of a shift or more, at least so many are tried
@@ -141,6 +146,7 @@ def fault_families(
     families = [
         *_slips(problem),
         *_slips_at_every_visit(problem),
+        *_displaced_ends(problem),
         *_shifts_and_drifts(problem, linearised.reading_poses),
         *_zeroings(problem),
         *_wrong_commands(problem, by_command, corrected),
@@ -183,6 +189,27 @@ def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
                 yield FaultFamily("outlier", rows[visits], columns, FREE_FORM_PRIOR)
 
 
+def _displaced_ends(problem: Problem) -> Iterator[FaultFamily]:
+    """Yield a pillar or hole that is displaced along the plate, as one that leans is.
+
+    At least three distances end there, and fewer than half of all. Its prior is that of a dial's
+    error at all visits to a posture.
+    """
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        readings, rows = factor.readings, factor.readings.paired & factor.noise.weighted
+        if not rows.any():
+            continue
+        ends = (readings.command[rows], readings.second[rows])
+        p, q = (problem.machine.forward(end)[:, :2] for end in ends)
+        along = (p - q) / np.linalg.norm(p - q, axis=1)[:, None]
+        along, row = np.concatenate([along, -along]), np.tile(part.start + np.flatnonzero(rows), 2)
+        place = np.concatenate([p, q])
+        near = np.linalg.norm(place[:, None] - place, axis=2) < _PILLAR_WIDTH
+        for each in _grouped(connected_components(near)[1]):
+            if 2 < each.shape[1] < rows.sum() / 2:
+                yield FaultFamily("outlier", row[each], along[each], FREE_FORM_PRIOR)
+
+
 def _shifts_and_drifts(
     problem: Problem, reading_poses: tuple[ReadingPoses, ...]
 ) -> Iterator[FaultFamily]:
@@ -211,8 +238,9 @@ def _shifts_and_drifts(
         ]  # fmt: skip
         for cut in cuts[:: max(len(cuts) // _SHIFTS, 1)]:
             yield FaultFamily(kind, rows[None, cut:], columns[None, cut:])
-        # So many readings determine both, the nuisances and their rates, if there are any.
-        determined = len(rows) > 2 * width > 0
+        # So many readings determine both, the nuisances and their rates, if there are any, as far
+        # as they determine a shift.
+        determined = len(rows) > 2 * width + 1 > 1
         if determined and not factor.on_legs and setup.name not in factor.drifting:
             drift = columns * factor.progress[in_factor, None]
             yield FaultFamily("drifted", rows[None], drift[None])

@@ -259,6 +259,12 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
             f"the dial {setup.name!r} alone reads {excess} here, at each of {len(fault.rows)} "
             f"visits: look for dirt or a burr where it touches, and check these entries"
         )
+    if len(fault.rows) > 1 and readings.paired[row]:
+        return (
+            f"these distances end at one place, and fit with it {abs(fault.size) * 1e3:.2g} mm "
+            f"elsewhere on the plate: look whether the pillar or hole there leans, has a burr or "
+            f"was measured at its foot, and measure these distances again"
+        )
     if readings.by_point:
         subject = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     revisited = np.sum(problem.station[fault.rows[0]] == problem.station) > 1

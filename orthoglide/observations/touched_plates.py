@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array, fit_plane, plane_columns
-from orthoglide.machine_file import DeltaKinematics
+from orthoglide.machine_file import DeltaKinematics, MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import plain
 from orthoglide.observations.readings import Readings
@@ -20,12 +20,16 @@ from orthoglide.observations.readings import Readings
 LEAST_MOVE = 1e-4
 """Smallest move that is reported on a machine of usual size, metres: the thickness of paper."""
 
-_MAX_DIFFERENCE, _MAX_TILT, _MAX_SHAPE = 2e-4, 1e-4, 5e-5
+_MAX_DIFFERENCE, _MAX_TILT, _MAX_SHAPE = 2e-4, 6e-5, 5e-5
 """Metres by which two lists may differ at three quarters of the places that both touched: in
-height, and with many places by a tilt and by a smooth shape. Of 17 pairs on owners' printers,
-probed warm and cold, none does by more than 0.11, 0.036 and 0.015 mm. A quarter may differ by more:
-a list with one wrong touch of seven has to stay, as the other list is what shows that touch."""
+height, by a tilt, and with many places by a smooth shape. Of 17 pairs on owners' printers, probed
+warm and cold, none does by more than 0.11, 0.036 and 0.015 mm; an endstop that moved by 0.3 mm
+tilts a plate by 0.07 mm or more. A quarter may differ by more: a list with one wrong touch of seven
+has to stay, as the other list is what shows that touch."""
 _MIN_COMMON_PLACES = 4  # places that establish a difference
+_SIGNIFICANT_SIGMAS = 3.0
+_USUAL_NOISE = 2.5e-5  # metres, of a difference of two touches
+_TRIMMING_STEPS = 5  # of a fit to the places that agree; most settle after two
 _MIN_SMOOTHED = 12  # places for a surface of second order, of six unknowns, without their noise
 
 
@@ -53,6 +57,17 @@ class PlateMove:
                 f"is 0, y is 90)"
             )
         return f"at equal commands the plate of {self.setup} {' and '.join(clauses)}"
+
+
+def file_disagreements(
+    spec: MachineFile, campaigns: Sequence[Readings]
+) -> Iterator[tuple[str, str, Note]]:
+    """Yield the disagreements of lists of touches at a machine; none where its controller's
+    kinematics are unknown.
+    """
+    if spec.kinematics is not None:
+        relative = spec.printer is None or spec.printer.meshes_relative
+        yield from disagreements(spec.kinematics, campaigns, relative=relative)
 
 
 def disagreements(
@@ -85,12 +100,12 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
         return None
     centred = places - places.mean(axis=0)
     (height, *slope), shape = fit_plane(centred, difference)
-    differs = _quantile(difference) > _MAX_DIFFERENCE
+    differs = max(_quantile(difference) / _MAX_DIFFERENCE, _tilt(centred, difference)) > 1
     if len(difference) >= _MIN_SMOOTHED:
         x, y = centred.T
         columns = np.column_stack([plane_columns(centred), x**2, x * y, y**2])
         shape = columns @ np.linalg.lstsq(columns, shape, rcond=None)[0]
-        differs |= _quantile(centred @ slope) > _MAX_TILT or _quantile(shape) > _MAX_SHAPE
+        differs |= _quantile(shape) > _MAX_SHAPE
     if not differs:
         return None
     told = (
@@ -138,6 +153,24 @@ def _differences(
         return np.empty((0, 2)), np.empty(0)
     p, difference = p[common], difference[common]
     return p, difference - np.median(difference) * relative
+
+
+def _tilt(places: Array, difference: Array) -> float:
+    """Return the tilt of one list against the other, over the largest that is insignificant.
+
+    The plane is that of the three quarters of places, four or more, that lie nearest to it. At few
+    places the noise of touches tilts it too, which their residuals show, and three more of the size
+    that is usual.
+    """
+    count = max(_MIN_COMMON_PLACES, int(np.ceil(0.75 * len(difference))))
+    nearest = np.arange(len(difference))
+    for _ in range(_TRIMMING_STEPS):
+        plane, _ = fit_plane(places[nearest], difference[nearest])
+        residual = difference - plane_columns(places) @ plane
+        nearest = np.argsort(np.abs(residual), kind="stable")[:count]
+    variance = (residual @ residual + 3 * _USUAL_NOISE**2) / len(residual)
+    noise = _SIGNIFICANT_SIGMAS * float(np.sqrt(variance * 3 / len(residual)))
+    return _quantile(places @ plane[1:]) / max(_MAX_TILT, noise)
 
 
 def _quantile(difference: Array) -> float:
