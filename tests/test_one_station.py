@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks.blunders import Case, judge
 from orthoglide.effects.bumps_and_jumps import travel_bumps, with_free_forms
 from orthoglide.effects.free_form import FreeForm
+from orthoglide.explanation.corrections import with_faults_corrected
+from orthoglide.explanation.fault_columns import command_derivatives
+from orthoglide.explanation.faults import Fault
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import Rig
@@ -138,3 +142,34 @@ def test_a_command_mistyped_at_one_of_three_visits_is_no_drift() -> None:
         "command",
         last.sum(),
     )
+
+
+def test_a_corrected_command_explains_what_it_changed() -> None:
+    """At zero travel a drive moves the dials on its own leg to second order only: there a wrong
+    command explained nothing once it was corrected, and waves of the drive took its place.
+    """
+    errors = {"joint_offset.x": 1.2e-3, "joint_offset.y": -7e-4, "joint_offset.z": 4e-4}
+    rows = rc.simulate(Rig(errors=errors), "sweep", np.random.default_rng(1))
+    wrong = [k for k, r in enumerate(rows) if (r["leg"], r["posture"]) == ("y", "+0")]
+    for k in wrong:
+        rows[k]["rho_y_mm"] += 10.0
+    fit = og.identify([campaign_of(rows)])
+    fault = Fault("command", np.array(wrong), -1e-2, drive=1)
+    corrected, values = with_faults_corrected(fit.problem, [fault]), fit.problem.values(0, fit.x)
+    model = fit.problem.machine.model
+    written, right = (model.readings(values, p.campaigns[0]) for p in (fit.problem, corrected))
+    change = (right - written)[wrong]
+    slopes = command_derivatives(corrected, fit.x, right, [fault])[wrong, 1]
+    assert slopes * fault.size == pytest.approx(change, abs=1e-12)
+    at_corrected = command_derivatives(corrected, fit.x, right)[wrong, 1]
+    assert np.abs(at_corrected * fault.size).max() < 0.3 * np.abs(change).max()
+
+
+@pytest.mark.thorough
+def test_a_large_wrong_command_is_compared_where_it_is_corrected() -> None:
+    """One dial of the posture was said to read wrong: about the command as written, 10 mm are far
+    from linear, so that the other dial contradicted them.
+    """
+    record = judge(Case("worn", "command, less worn", 10.0, 0), 90001)
+    assert record["right_size"]
+    assert record["right_rows"]

@@ -8,6 +8,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from orthoglide.effects.bumps_and_jumps import with_jump
 from orthoglide.effects.dials import common_dial_form, dial_free_forms
 from orthoglide.effects.free_form import Session, free_forms
 from orthoglide.explanation.causes import pool_variants
-from orthoglide.explanation.free_form import dial_curve_columns, free_form_columns
+from orthoglide.explanation.dial_curves import dial_curve_columns
+from orthoglide.explanation.free_form import free_form_columns
 from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate
 from orthoglide.report import result_text
@@ -232,3 +234,101 @@ def test_a_dial_whose_plunger_came_one_way_shows_no_reversal() -> None:
     assert [p.name for p in dial_free_forms("s", 0, None, (0.0, 1e-3), True)][
         -1
     ] == "dial.s/approach"
+
+
+# -- jumps between mountings, warm drives, and bumps that a tool shows ----------------------------
+
+PAUSE = 1120.0  # seconds: the middle of the pause in which the dials are taken to the next leg
+
+
+def test_a_jump_is_likelier_in_a_long_pause() -> None:
+    """The moments had equal shares, whether 20 s passed or the dials were taken elsewhere."""
+    rng = np.random.default_rng(90006)
+    rig = replace(RIG, extra=(rc.jumping_drive(0, -2e-4, PAUSE),))
+    fit = og.identify([campaign_of(rc.simulate(rig, ROWS, rng))])
+    nothing = np.zeros((len(ROWS), 0))
+    _, found = free_form_columns(fit.problem, fit.x, fit.residuals, nothing)
+    jumps = {form.jump: form.chance for form in found if form.name.startswith("drive.x/time@")}
+    assert max(jumps, key=lambda moment: jumps[moment]) == PAUSE
+    assert jumps[PAUSE] > 5 * min(jumps.values())
+    assert sum(jumps.values()) < 1.0
+
+
+@pytest.mark.thorough
+def test_a_drive_that_jumps_between_two_mountings_is_located() -> None:
+    """The moment was the last one of a mounting."""
+    rng = np.random.default_rng(90006)
+    rig = replace(RIG, extra=(rc.jumping_drive(0, -2e-4, PAUSE),))
+    rows = rc.simulate(rig, ROWS, rng, background=0.015)
+    (found,) = studied([public.campaign(rows)], public.machine()).located
+    (jump, *_) = found.members
+    assert jump.name == f"drive.x/time@{PAUSE:.0f}s"
+    assert jump.size == pytest.approx(2e-4, rel=0.25)
+
+
+def tool_rows(rig: Rig, kind: str, seed: int) -> og.Readings:
+    """Readings of one instrument at the tool, 40 places in a row, three times over."""
+    rng = np.random.default_rng(seed)
+    points = rc.tcp_points(rig, 40, rng) * 3
+    rho = np.array([[point[c] for c in rc.RHO] for point in points])
+    time, ball = 20.0 * np.arange(len(rho)), np.array([0.0, 0.0, -0.25])
+    pose = rig.pose(rho * 1e-3, rc.approaches(points), time)
+    columns: dict[str, list[Any]] = {}
+    for k, command in enumerate(rho):
+        for axis in range(3 if kind == "tcp" else 1):
+            value = pose.p[k, axis] if kind == "tcp" else np.linalg.norm(pose.p[k] - ball)
+            row = dict(zip(rc.RHO, command.tolist(), strict=True)) | {
+                "kind": kind, "setup": kind, "direction": "xyz"[axis] if kind == "tcp" else "",
+                "time_s": time[k], "repeat": k // 40 + 1,
+                "reading_mm": round(1e3 * float(value + rng.normal(0, 5e-6)), 4),
+            }  # fmt: skip
+            for name, cell in row.items():
+                columns.setdefault(name, []).append(cell)
+    columns["order"] = list(range(len(columns["kind"])))
+    return og.Readings.from_frame(columns, name="case", machine_file=public.machine().spec)
+
+
+def warming_scales(value: float) -> Any:
+    """All drives change their scales alike and evenly, by value in 2400 s."""
+
+    def moved(travel: Any, near: Any, time: Any) -> Any:
+        return np.einsum("nl,lj->nlj", travel * value * time[:, None] / 2400, np.eye(3))
+
+    return moved
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("what", ["zeros", "scales", "bars"])
+def test_drives_that_warm_alike_beside_a_tracker(what: str) -> None:
+    """Bars that grow were named alone, and a scale that changes was one that is wrong."""
+    extra, errors = [], dict(RIG.errors)
+    if what == "zeros":
+        extra = [rc.warming_drives(1e-4, 1e4)]
+    elif what == "scales":
+        extra = [warming_scales(1e-3)]
+    else:
+        errors |= {f"thermal_drift.{leg}": 1e-7 for leg in LEGS}
+    rig = Rig(errors=errors, extra=tuple(extra))
+    verdict = studied(tool_rows(rig, "tcp", 90001), public.machine())
+    names = {one.name for cause in verdict.effects for one in cause.explanations}
+    places = [one.name for cause in verdict.effects for one in cause.places]
+    for located in verdict.located:
+        names |= set(located.resembling)
+        places += [one.name for one in located.members]
+    if what == "scales":
+        assert not names
+        assert set(places) <= {"screw/time", "screw/time-line"}
+    else:
+        assert {"thermal_drift.common"} <= names
+        assert "drive/time-line" in places or "drive/time" in places
+
+
+@pytest.mark.thorough
+def test_a_ball_bar_shows_a_bump_of_a_rail_where_it_is() -> None:
+    """It was no member of the set: only dials, which stand long at one travel, had bumps."""
+    rig = Rig(errors=RIG.errors, extra=(rc.bump(2, 1, -1e-4, -0.038, 0.008),))
+    (found,) = studied(tool_rows(rig, "ballbar", 90003), public.machine()).located
+    (bump, *_) = (m for m in found.members if m.name.startswith("rail.z.y/travel@"))
+    assert bump.probability > 0.5
+    assert bump.size == pytest.approx(1e-4, rel=0.25)
+    assert float(bump.name.partition("@")[2]) == pytest.approx(-38, abs=6)

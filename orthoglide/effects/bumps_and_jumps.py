@@ -26,10 +26,11 @@ _UM = 1e-6
 def may_jump(form: FreeForm) -> bool:
     """Return whether a free-form error that changes with time may also jump.
 
-    One bar snaps, or one drive loses steps; several parts do not jump at the same moment.
+    One bar snaps, or one drive loses steps; several parts do not jump at the same moment, and no
+    scale does.
     """
-    single_part = form.leg >= 0 and (form.part != "bar" or bool(form.direction))
-    return form.against == "time" and single_part
+    single_part = form.leg >= 0 and (form.part == "drive" or bool(form.direction))
+    return form.against == "time" and single_part and not form.is_line
 
 
 def with_jump(form: FreeForm, moment: float) -> FreeForm:

@@ -24,7 +24,7 @@ from orthoglide.numerals import compact
 from orthoglide.units import MM, RAD
 
 Dependence = Literal["travel", "approach", "reversal", "command", "time", "reading"]
-Part = Literal["drive", "rail", "carriage", "bar", "platform", "dial"]
+Part = Literal["drive", "screw", "rail", "carriage", "bar", "platform", "dial"]
 Range = tuple[float, float]
 FreeFunctions = Kernel | BuildUp | Bump | Jump | Level
 _UM = 1e-6
@@ -68,6 +68,7 @@ class FreeForm:
         """Virtual joints of the leg that move, each with its share."""
         return {
             "drive": (("travel", 1.0),),
+            "screw": (("travel", 1.0),),
             "rail": ((f"lateral_{self.axis}", 1.0),),
             "platform": ((f"lateral_{self.axis}", -1.0),),
             "carriage": ((f"turn_{self.axis}", 1.0),),
@@ -177,8 +178,11 @@ class FreeForm:
     @property
     def words(self) -> str:
         """Clause with the location and the kind of the error."""
-        if self.part == "drive" and self.leg < 0:
-            return "all drives go equally wrong along their axes with time"
+        if self.leg < 0 and not self.of_dial:
+            fault = "change their scales equally"
+            if self.part == "drive":
+                fault = "go equally wrong along their axes"
+            return f"all drives {fault} {self._time_words}"
         if self.of_dial:
             if not self.setup:
                 return "all dials read more or less, depending on the way that their plungers came"
@@ -191,17 +195,17 @@ class FreeForm:
                 fault = "is wrong at one place of its range and nowhere else"
             return f"the dial of {self.setup} {fault}"
         leg = self.names.legs[self.leg]
-        preposition = "at" if self.timed else "after"
         depending = "in proportion to" if self.is_line else "depending on"
         dependence = {
             "travel": self._travel_words,
             "approach": "depending on the side it is approached from",
             "reversal": "depending on the distance since it reversed",
             "command": f"{depending} the command of drive {self.names.legs[self.command_drive]}",
-            "time": "with time" if self.jump is None else f"suddenly {preposition} {self.moment}",
+            "time": self._time_words,
         }[self.against]
         fault = {
             "drive": f"drive {leg} goes wrong along its axis",
+            "screw": f"drive {leg} changes its scale",
             "rail": f"the path of the {leg} carriage leaves its line toward "
             f"{toward(self.direction, 1.0)}",
             "carriage": f"the {leg} carriage turns about {self.direction}",
@@ -220,6 +224,12 @@ class FreeForm:
         return f"{jump:.0f} s" if self.timed else f"order {math.floor(jump)}"
 
     @property
+    def _time_words(self) -> str:
+        if self.jump is not None:
+            return f"suddenly {'at' if self.timed else 'after'} {self.moment}"
+        return "in proportion to time" if self.is_line else "with time"
+
+    @property
     def _travel_words(self) -> str:
         if self.bump is not None:
             reach = f"within {2e3 * self.wide:.0f} mm of" if self.wide else "at"
@@ -236,6 +246,7 @@ class FreeForm:
         leg = self.names.legs[self.leg]
         part = {
             "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
+            "screw": f"what warms the screw or belt of axis {leg}: its motor, its nut",
             "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
             "carriage": f"the carriage of axis {leg}: its bearings and preload",
             "bar": f"the bars of leg {leg}, their pivots and their warmth",
@@ -250,6 +261,9 @@ class FreeForm:
         values = self.kernel.functions(self._variable(conditions), which)
         if self.against == "approach":
             return [value * conditions.approach / 2 for value in values]
+        if self.part == "screw":
+            half = (conditions.stroke[1] - conditions.stroke[0]) / 2
+            return [value * (conditions.nominal_travel / half) for value in values]
         return values
 
     def _variable(self, c: LegConditions) -> Any:
@@ -292,6 +306,9 @@ _ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
 _LINE = Kernel(1.0, 0, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
+_SCREW_GROWTH = 10 * _UM  # metres: half a stroke of steel that warms by ten kelvin
+# Even warmth is no free function: it reaches drives as often as bars, whose growth has a name.
+_WARMTH_CHANCE = 10.0
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
 # stroke. On a stroke of less than three such waves the kernels above describe them as well.
 _SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
@@ -369,7 +386,10 @@ def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
         for bars in ("1", "2", ""):
             yield form("bar", leg, bars, kernel=_OU)
     for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
-        yield form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
+        drift = form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
+        for warm in (drift, replace(drift, part="screw", prior_sd=_SCREW_GROWTH)):
+            yield warm
+            yield replace(warm, kernel=_LINE, chance=_WARMTH_CHANCE)
 
 
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:

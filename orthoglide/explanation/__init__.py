@@ -5,7 +5,8 @@ first; then all explanations are compared together.
 
 Columns of the linear model
     candidates            causes of the catalogue, and which groups of coefficients may be active
-    free_form             free-form errors at a joint, of a dial or of a plate
+    free_form             free-form errors at a joint or of a plate
+    dial_curves           free-form errors of a dial
     faults                data faults as hypotheses, and their messages
     corrections           readings with their data faults corrected
     fault_columns         data faults as columns: slips, knocks, moved instruments, wrong commands

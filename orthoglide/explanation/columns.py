@@ -14,6 +14,7 @@ from orthoglide.effects import Effect
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.candidates import build_groups, coefficient_spans
 from orthoglide.explanation.compression import MergedRows, WhitenedReadings
+from orthoglide.explanation.dial_curves import dial_curve_columns
 from orthoglide.explanation.fault_columns import (
     FaultColumns,
     FaultKey,
@@ -22,7 +23,6 @@ from orthoglide.explanation.fault_columns import (
 )
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.free_form import (
-    dial_curve_columns,
     free_form_columns,
     only_plate_readings,
     only_surface_readings,
@@ -184,7 +184,7 @@ def _displacement_by_commands(
     """
     displacement = np.zeros(len(linearised.value))
     if corrected:
-        by_command = command_derivatives(full_problem, linearised.x, linearised.value)
+        by_command = command_derivatives(full_problem, linearised.x, linearised.value, corrected)
         for fault in corrected:
             displacement[fault.rows] += by_command[fault.rows, fault.drive] * fault.size
     return displacement

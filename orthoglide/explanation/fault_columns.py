@@ -142,7 +142,7 @@ def fault_families(
         linearised: point of linearisation.
         corrected: wrong commands that are corrected at that point.
     """
-    by_command = command_derivatives(problem, linearised.x, linearised.value)
+    by_command = command_derivatives(problem, linearised.x, linearised.value, corrected)
     families = [
         *_slips(problem),
         *_slips_at_every_visit(problem),
@@ -285,21 +285,33 @@ def _group_numbers(problem: Problem, *columns: str) -> Rows:
     return numbers
 
 
-def command_derivatives(problem: Problem, x: Array, predicted: Array) -> Array:
+def command_derivatives(
+    problem: Problem, x: Array, predicted: Array, corrected: Sequence[Fault] = ()
+) -> Array:
     """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
+
+    That of a corrected command is the mean one from the command as written: at zero travel, for
+    example, a drive's command moves the dials on its own leg to second order only.
 
     Args:
         problem: the readings.
         x: values of its unknowns ``(P,)``, SI.
         predicted: the readings predicted from ``x`` ``(n,)``, metres.
+        corrected: wrong commands that are corrected in the readings.
     """
-    derivatives = np.zeros((len(predicted), len(LEGS)))
+    derivatives, model = np.zeros((len(predicted), len(LEGS))), problem.machine.model
     for k, (campaign, rows) in enumerate(zip(problem.campaigns, problem.leg_rows, strict=True)):
         values = problem.values(k, x)
         for drive in range(len(LEGS)):
             command = campaign.command + _DIFFERENCE_STEP * np.eye(3)[drive]
-            readings = problem.machine.model.readings(values, replace(campaign, command=command))
+            readings = model.readings(values, replace(campaign, command=command))
             derivatives[rows, drive] = (readings - predicted[rows]) / _DIFFERENCE_STEP
+    for fault in corrected:
+        if abs(fault.size) > _DIFFERENCE_STEP:
+            written = with_faults_corrected(problem, [replace(fault, size=-fault.size)]).campaigns
+            as_written = [model.readings(problem.values(k, x), c) for k, c in enumerate(written)]
+            change = predicted[fault.rows] - np.concatenate(as_written)[fault.rows]
+            derivatives[fault.rows, fault.drive] = change / fault.size
     return derivatives
 
 

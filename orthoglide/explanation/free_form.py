@@ -1,22 +1,16 @@
-"""Columns of the free-form errors of machine, dials and plates that readings could show."""
+"""Columns of the free-form errors of machine and plates that readings could show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects.bumps_and_jumps import (
-    DIAL_BUMP_WIDTHS,
-    may_jump,
-    travel_bumps,
-    with_dial_bump,
-    with_jump,
-)
-from orthoglide.effects.dials import common_dial_form, dial_free_forms
+from orthoglide.effects.bumps_and_jumps import may_jump, travel_bumps, with_jump
 from orthoglide.effects.free_form import BUILD_UP, FreeForm, Session, free_forms
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.plates import residual_plate_shapes
@@ -26,18 +20,17 @@ from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
-from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest
+from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 from orthoglide.prediction import Model
 
 _LARGEST_BUMP_SHARE = 0.2  # of the readings at a travel for which a bump is considered
 _MOST_BUMP_TRAVELS = 40  # travels of a leg: with more, each has too few readings for a bump
-_MOST_DIAL_BUMPS = 2  # bumps considered for each dial, at the readings that they explain best
+_BUMP_STEP = 4e-3  # metres: half the width of the narrowest bump
+_LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer are slips
+_MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
 _MOST_JUMPS = 8  # jumps considered for each part, at the moments that explain most
 _LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
 _LEAST_SIGNAL = 0.1  # sigmas: least effect on a reading that counts as visible
-_LEAST_DIAL_MOVE = 1e-6  # metres: a smaller move does not move a dial
-_CLEAR_DIAL_MOVE = 5e-6  # metres: a larger move has a certain direction
-_DIRECTION_SEPARATION = 3.0  # least mean difference of both directions' residuals, in scatters
 
 
 def only_surface_readings(problem: Problem) -> bool:
@@ -61,8 +54,8 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     machine = problem.machine
     geometry = machine.geometry
     session = _session(problem)
-    if session is not None and not (session.timed and problem.campaigns):
-        session = None  # the order tells no rate of a change, and instruments at the tool drift too
+    if session is not None and not session.timed:
+        session = None  # the order tells no rate of a change
     errors = free_forms(session, machine.catalogue.legs, geometry.stroke, geometry.scale)
     if len(problem.campaigns) < len(problem.factors):
         # Only readings of legs distinguish a moved bar end from a moved carriage.
@@ -139,6 +132,8 @@ def free_form_columns(
     forms = free_forms(_session(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
     if jumping := [form for form in forms if may_jump(form)]:
         errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
+    if not (problem.leg_factors or any(f.readings.paired.any() for f in problem.factors)):
+        errors += tuple(_bump_candidates(problem, x, residual, fitted))
     if first is None or len(first) == len(residual):
         return _columns_of_factors(problem, x, errors, problem.factors), errors
     parts = [first[(first >= p.start) & (first < p.stop)] - p.start for p in problem.factor_rows]
@@ -192,13 +187,53 @@ def _jump_candidates(
         explained = np.cumsum(step[:, None] * fitted, axis=0)[allowed]
         remaining = squares[allowed] - np.sum(explained**2, axis=1)
         gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
-        order_of_gain = descending(gain, LOG_ODDS_MARGIN)
-        between = (moments[allowed] + moments[allowed + 1])[order_of_gain] / 2
+        between = (moments[allowed] + moments[allowed + 1]) / 2
+        # Steps are lost as drives move, screws loosen at any moment: half of the prior is shared
+        # equally by the pauses between readings, half by their durations.
+        pause = moments[allowed + 1] - moments[allowed]
+        chance = (1 / len(allowed) + pause / pause.sum()) / 2
+        order_of_gain = descending(gain / 2 + np.log(chance), LOG_ODDS_MARGIN)
         # One for each full second, or reading, which names a jump.
         names = np.rint(between) if error.timed else np.floor(between)
-        _, first = np.unique(names, return_index=True)
-        for moment in between[np.sort(first)[:_MOST_JUMPS]].tolist():
-            yield replace(with_jump(error, moment), chance=1 / len(first))
+        _, first, name = np.unique(names[order_of_gain], return_index=True, return_inverse=True)
+        shares = np.bincount(name, chance[order_of_gain])
+        for k in np.sort(first)[:_MOST_JUMPS]:
+            moment = float(between[order_of_gain[k]])
+            yield replace(with_jump(error, moment), chance=float(shares[name[k]]))
+
+
+def _bump_candidates(
+    problem: Problem, x: Array, residual: Array, fitted: Array
+) -> Iterator[FreeForm]:
+    """Yield the bumps of drives and rails that explain most of readings at one place of the tool
+    each, whose postures seldom have a travel of a leg in common; see `_jump_candidates`.
+    """
+    machine, geometry = problem.machine, problem.machine.geometry
+    step = _BUMP_STEP * geometry.scale
+    first, last = np.ceil(geometry.stroke[0] / step), np.floor(geometry.stroke[1] / step)
+    travels = (np.arange(first, last + 1) * step).round(4).tolist()
+    bumps = travel_bumps([travels] * len(LEGS), machine.catalogue.legs, geometry.stroke,
+                         geometry.scale)  # fmt: skip
+    by_part: dict[str, list[FreeForm]] = {}
+    for bump in bumps:
+        by_part.setdefault(bump.location_key, []).append(bump)
+    levels = [replace(of_part[0], kernel=Level()) for of_part in by_part.values()]
+    parts = [machine.model.leg_conditions({}, f.conditions()) for f in problem.factors]
+    rows_of = _columns_of_factors(problem, x, levels, problem.factors)
+    whitened = residual / problem.sigma
+    whitened = whitened - fitted @ (fitted.T @ whitened)
+    for of_part, rows in zip(by_part.values(), rows_of, strict=True):
+        leg = of_part[0].leg
+        u = np.concatenate([c[leg].over_stroke(c[leg].nominal_travel) for c in parts])
+        shapes = np.column_stack([bump.kernel.functions(u)[0] for bump in of_part])
+        columns = shapes * rows / problem.sigma[:, None]
+        stations = [len(np.unique(problem.station[shape > 0.5])) for shape in shapes.T]
+        remaining = np.sum(columns**2, axis=0) - np.sum((fitted.T @ columns) ** 2, axis=0)
+        gain = (columns.T @ whitened) ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
+        gain[np.array(stations) < _LEAST_BUMP_STATIONS] = 0.0
+        for k in descending(gain, LOG_ODDS_MARGIN)[:_MOST_BUMPS]:
+            if gain[k] > 0:
+                yield of_part[k]
 
 
 def free_form_columns_of_factor(
@@ -218,8 +253,10 @@ def free_form_columns_of_factor(
         built_up = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(built_up[:, :, k])) for k, c in enumerate(legs))
     for error in errors:
-        functions = error.prior_sd * np.stack(error.functions(legs[error.leg]), axis=1)
-        rows = response(_joint_shares(error), functions)
+        rows: Any = 0.0
+        for leg in [error.leg] if error.leg >= 0 else range(len(LEGS)):
+            functions = error.prior_sd * np.stack(error.functions(legs[leg]), axis=1)
+            rows = rows + response(_joint_shares(error, leg), functions)
         if error.moves_bar_ends and factor.on_legs:
             rows += _carriage_shift_at_dials(error, factor.readings)[:, None] * functions
         yield rows
@@ -241,13 +278,12 @@ def plate_shape_columns(problem: Problem) -> tuple[Array, Array]:
     return np.hstack(columns), np.array(sd)
 
 
-def _joint_shares(error: FreeForm) -> Array:
-    """Return the share of every virtual joint in a free-form error ``(30,)``."""
+def _joint_shares(error: FreeForm, leg: int) -> Array:
+    """Return the share of every virtual joint in a free-form error of a leg ``(30,)``."""
     names = VIRTUAL_NAMES
     shares = np.zeros(len(LEGS) * len(names))
-    for leg in [error.leg] if error.leg >= 0 else range(len(LEGS)):
-        for joint, share in error.joints:
-            shares[leg * len(names) + names.index(joint)] = share
+    for joint, share in error.joints:
+        shares[leg * len(names) + names.index(joint)] = share
     return shares
 
 
@@ -256,125 +292,3 @@ def _carriage_shift_at_dials(error: FreeForm, campaign: Readings) -> Array:
     shift_by_setup = [s.sign * (s.leg == error.leg and LEGS[s.axis] == error.direction)
             for s in campaign.setups]  # fmt: skip
     return np.take(np.asarray(shift_by_setup, dtype=float), campaign.setup)
-
-
-def dial_curve_columns(
-    problem: Problem, predicted: Array, residual: Array
-) -> tuple[list[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error of dials, in its unit, and these
-    errors.
-
-    Args:
-        problem: the readings.
-        predicted: readings ``(n,)``, metres.
-        residual: that bumps may explain ``(n,)``, metres.
-    """
-    columns, errors = list[Array](), list[FreeForm]()
-    direction_halves, reversing_count = np.zeros(len(predicted)), 0
-    scale = problem.machine.geometry.scale
-    for campaign, part in zip(problem.campaigns, problem.leg_rows, strict=True):
-        for k, setup in enumerate(campaign.setups):
-            rows = part.start + np.flatnonzero(campaign.setup == k)
-            time, setup_predicted = campaign.time[rows - part.start], predicted[rows]
-            if np.ptp(setup_predicted) <= 0:
-                continue
-            name = setup.name if len(problem.campaigns) == 1 else f"{setup.name}@{campaign.name}"
-            has_time = np.isfinite(time).all() and np.ptp(time) > 0
-            span = (float(time.min()), float(time.max())) if has_time else None
-            offsets = problem.measured[rows] - setup_predicted
-            direction = _plunger_direction(campaign, rows - part.start, setup_predicted, offsets)
-            reading_range = (float(setup_predicted.min()), float(setup_predicted.max()))
-            both_ways = bool((direction > 0).any() and (direction < 0).any())
-            setup_errors = dial_free_forms(name, setup.leg, span, reading_range, both_ways, scale)
-            # Predictions at the commands as written, so that no bump explains a corrected command.
-            written, whitened = problem.measured[rows] - residual[rows], residual / problem.sigma
-            bumps = [bump for e in setup_errors if e.against == "reading"
-                     for bump in _dial_bumps(e, written, whitened[rows])]  # fmt: skip
-            for error in (*setup_errors, *bumps):
-                low, high = error.span or (0.0, 1.0)
-                abscissa = written if error.is_local else setup_predicted
-                if error.against == "time":
-                    abscissa = time
-                functions = error.kernel.functions(2 * (abscissa - low) / (high - low) - 1)
-                block = np.zeros((len(predicted), len(functions)))
-                block[rows] = np.stack(functions, axis=1) * error.prior_sd
-                if error.against == "approach":
-                    block[rows] *= direction[:, None] / 2
-                    direction_halves[rows], reversing_count = direction / 2, reversing_count + 1
-                columns.append(block)
-                errors.append(error)
-    if reversing_count > 1:
-        reversing = predicted[direction_halves != 0]
-        errors.append(common_dial_form((float(reversing.min()), float(reversing.max())), scale))
-        columns.append((direction_halves * errors[-1].prior_sd)[:, None])
-    return columns, tuple(errors)
-
-
-def _dial_bumps(error: FreeForm, predicted: Array, residual: Array) -> Iterator[FreeForm]:
-    """Yield a dial's error with a bump, at the readings where it explains most of the residual.
-
-    Args:
-        error: the dial's curve by its reading.
-        predicted: readings of the dial ``(k,)``, metres.
-        residual: of these ``(k,)``, in sigmas; their median is attributed to the datum.
-    """
-    centres = np.unique(np.round(predicted, 5))  # hundredths of a millimetre, which name a bump
-    residual = residual - np.median(residual)
-    gain = np.empty((len(centres), len(DIAL_BUMP_WIDTHS)))
-    for k, width in enumerate(DIAL_BUMP_WIDTHS):
-        bump = np.exp(-0.5 * ((predicted - centres[:, None]) / width) ** 2)
-        gain[:, k] = (bump @ residual) ** 2 / np.maximum(np.sum(bump**2, axis=1), 1.0)
-    for centre in descending(gain.max(axis=1), LOG_ODDS_MARGIN)[:_MOST_DIAL_BUMPS]:
-        width = DIAL_BUMP_WIDTHS[largest(gain[centre], LOG_ODDS_MARGIN)]
-        yield with_dial_bump(error, float(centres[centre]), width, len(centres))
-
-
-def _means_at(predicted: Array, residual: Array) -> tuple[Array, Array]:
-    """Return distinct predicted readings ``(q,)``, to a micrometre, and their mean residuals."""
-    at, group = np.unique(np.round(predicted, 6), return_inverse=True)
-    return at, np.bincount(group, residual) / np.bincount(group)
-
-
-def _plunger_direction(
-    campaign: Readings, rows: NDArray[np.int64], predicted: Array, residual: Array
-) -> Array:
-    """Return the direction in which a dial's plunger came to each reading ``(k,)``.
-
-    It is 1 if the reading grew and -1 if it fell; without a move the previous direction is kept; 0
-    is unknown. If the direction is unknown or the last move was under 5 um, the reading is given
-    the direction whose residual, interpolated to its predicted reading, is nearer to its own: what
-    else is wrong with the machine is the same from both. This is done only if both directions
-    differ by more than three times their scatter.
-
-    Args:
-        campaign: of the readings.
-        rows: of one setup within it ``(k,)``.
-        predicted: readings there ``(k,)``, metres.
-        residual: measured less predicted ``(k,)``, metres.
-    """
-    order = np.argsort(campaign.order[rows], kind="stable")
-    moves = np.diff(predicted[order], prepend=predicted[order][:1])
-    move_sign = np.where(np.abs(moves) > _LEAST_DIAL_MOVE, np.sign(moves), 0.0)
-    index = np.arange(len(moves))
-    last = np.maximum.accumulate(np.where(move_sign != 0, index, 0))
-    visits = np.hstack([campaign.command, campaign.approach])[rows[order]]
-    stayed = np.append(False, (np.diff(visits, axis=0) == 0).all(axis=1))
-    last_visit = np.maximum.accumulate(np.where(stayed, 0, index))
-    direction, size = np.empty(len(moves)), np.empty(len(moves))
-    direction[order], size[order] = move_sign[last], np.abs(moves)[last_visit]
-    # Moves that were not recorded came between.
-    direction *= (campaign.approach == campaign.derived_approach).all(axis=1)[rows]
-    clear = (direction != 0) & (size > _CLEAR_DIAL_MOVE)
-    groups = [clear & (direction == move_sign) for move_sign in (1, -1)]
-    if min(map(np.sum, groups)) < 2:
-        return direction
-    grown, fallen = (
-        np.interp(predicted, *_means_at(predicted[group], residual[group])) for group in groups
-    )
-    difference = (grown - fallen)[clear]
-    from_own = (residual - np.where(direction > 0, grown, fallen))[clear]
-    scatter = np.hypot(difference.std(), np.sqrt(np.mean(from_own**2)))
-    if abs(difference.mean()) <= _DIRECTION_SEPARATION * scatter:
-        return direction
-    nearest = np.where(np.abs(residual - grown) < np.abs(residual - fallen), 1.0, -1.0)
-    return np.where(clear, direction, nearest)

@@ -91,10 +91,9 @@ class FullPosterior:
 
     @property
     def wrong_commands(self) -> dict[str, Fault]:
-        """Wrong commands of the best explanation by the names of their groups."""
-        groups, best = self.mixture.linear.groups, self.mixture.best
-        faults = {groups[k].name: self.data_fault(k, k) for k, _ in best if groups[k].of_data}
-        return {name: fault for name, fault in faults.items() if fault.drive is not None}
+        """Wrong commands that the readings may have, by the names of their groups."""
+        groups, possible = self.mixture.linear.groups, self.alternatives.possible_commands
+        return {groups[k].name: self.data_fault(member, k) for member, k in possible}
 
     @property
     def next_point(self) -> Array:
