@@ -24,7 +24,9 @@ from orthoglide.explanation.data_faults import (
     without_faults,
 )
 from orthoglide.explanation.faults import Fault, setups_of
+from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.identifying import identify
+from orthoglide.explanation.ranked_readings import likeliest_misreading
 from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
@@ -311,6 +313,21 @@ def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
     (found,) = found_in(rc.wrong_unit(rows_of("standard", seed=2), "yz-0.5").rows, machine)
     assert found.kind == "unit"
     assert len(searched) == 1  # five were, of which four came far behind by one factorisation
+
+
+def test_labels_that_cannot_beat_another_explanation_are_not_compared(machine, monkeypatch):
+    fit = estimate_of(rc.wrong_label(rows_of(seed=2), "yz-0.5", "leg").rows, machine)
+    posterior, rows = posterior_at_base_fit(fit), setups_to_reinterpret(fit.problem, [])
+    compared = list[object]()
+    monkeypatch.setattr(
+        ranked_readings, "_relabelled_log_likelihood", lambda *a: compared.append(a) or -np.inf
+    )
+    labels = [f for f in list_alternative_readings(fit.problem, rows) if f.relabels]
+    likeliest_misreading(fit, posterior, labels, rows)
+    assert compared
+    compared.clear()
+    assert likeliest_misreading(fit, posterior, labels, rows, posterior.evidence + 1e6) is None
+    assert not compared
 
 
 def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):

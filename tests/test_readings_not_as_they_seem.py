@@ -13,6 +13,7 @@ import orthoglide as og
 from benchmarks.attribution_cases import base_errors
 from benchmarks.public import campaign as campaign_of
 from orthoglide.errors import InputError
+from orthoglide.fit import plausible
 from orthoglide.machine_file.model import Measured
 from orthoglide.simulation import simulate, simulate_tcp
 from tests import rig_campaigns as rc
@@ -58,6 +59,16 @@ def test_commands_in_each_others_columns_are_refused(
     # A machine that is far off is none of it.
     far = Rig(errors={**base_errors(rng), "axis_tilt.y.z": 2e-2, "axis_offset.x.y": 3e-3})
     studied(campaign_of(rc.simulate(far, rc.protocol_rows(protocol), rng)), MACHINE)
+
+
+def test_other_orders_of_drives_that_fit_worse_are_not_solved(monkeypatch) -> None:
+    """Of a machine that is far off, a linear fit of each order shows that the order is right."""
+    rng = np.random.default_rng(5)
+    far = Rig(errors={**base_errors(rng), "axis_tilt.y.z": 2e-2, "axis_offset.x.y": 3e-3})
+    fit = og.identify(campaign_of(rc.simulate(far, rc.protocol_rows("standard"), rng)), MACHINE)
+    assert fit.sigma_scale > 20
+    monkeypatch.setattr(plausible, "solve", lambda *_, **__: pytest.fail("an order was solved"))
+    plausible.check_drive_order(fit)
 
 
 def test_one_dial_does_not_tell_whose_columns_were_exchanged() -> None:

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from orthoglide.explanation import linear_model
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.credible_sets import merge_families
 from orthoglide.explanation.full_likelihood import FullLikelihood
-from orthoglide.explanation.linear_model import Group, LinearModel, identity_group
+from orthoglide.explanation.linear_model import Group, LinearModel, identity_group, left_singular
 from orthoglide.explanation.mixture import Mixture
-from orthoglide.explanation.search import Search, State, explained_by_group, left_singular
+from orthoglide.explanation.search import Search, State, explained_by_group
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
@@ -223,6 +224,17 @@ def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
         assert one.log_z - other.log_z == pytest.approx(3.0 if one.background_scale > 0.03 else 0.0)
 
 
+def test_larger_noise_that_can_have_no_weight_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    linear = made_up(drawn(1), np.zeros(17), 2)
+    few = Mixture(linear)
+    monkeypatch.setattr(linear_model, "NEGLIGIBLE_LOG_WEIGHT", np.inf)
+    whole = Mixture(linear)
+    assert len(few.scales) < len(whole.scales)
+    assert few.best == whole.best
+    assert few.inclusion == pytest.approx(whole.inclusion, abs=1e-12)
+    assert few.mean == pytest.approx(whole.mean, abs=1e-12)
+
+
 def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     columns = np.random.default_rng(11).standard_normal((3, 20, 6))
     columns[1, :, 5] = columns[1, :, 4]
@@ -294,6 +306,32 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
     relabelled = wide.relabelled(own, 2 * columns, 2 * placed, 2 * rest)
     assert relabelled.log_likelihood(np.zeros((n, 1))) == pytest.approx([labelled])
+
+
+@pytest.mark.parametrize("causes", [3, 40], ids=["more rows", "more causes"])
+def test_readings_with_equal_rows_are_weighed_by_their_sums(causes: int) -> None:
+    """Three visits to each of ten stations, of which five are a setup that may have other labels;
+    some readings of a station, and all of them, against the others.
+    """
+    rng, group = np.random.default_rng(causes), np.tile(np.arange(10), 3)
+    columns, residual = 3 * rng.standard_normal((10, causes)), 5 * rng.standard_normal(30)
+    weighing = Weighing(np.full(30, 2.0), np.zeros(30), group)
+    dense = FullLikelihood(weighing, columns[group], residual, (1.0, 1.0))
+    sums = FullLikelihood(weighing, np.sqrt(3) * columns, residual, (1.0, 1.0), group=group)
+    change, no_change = rng.standard_normal((30, 2)), np.zeros((30, 1))
+    assert sums.log_likelihood(change) == pytest.approx(dense.log_likelihood(change))
+    assert sums.expected_noise(change[:, 0]) == pytest.approx(dense.expected_noise(change[:, 0]))
+    setup = np.flatnonzero(group < 5)
+    for rows in (setup, np.array([0, 1, 10, 27])):
+        one, other = (w.deletion(rows, change[:, 1]) for w in (sums, dense))
+        assert one.difference == pytest.approx(other.difference)
+        assert one.gain == pytest.approx(other.gain)
+    again, placed, rest = rng.standard_normal((5, causes)), np.ones((15, 1)), residual[::2]
+    labelled = [w.relabelled(setup, again[group[setup]], placed, rest) for w in (sums, dense)]
+    one, other = (w.log_likelihood(no_change) for w in labelled)
+    assert one == pytest.approx(other)
+    # Other labels change the rows and not the scatter of readings with equal rows.
+    assert sums.deletion(setup).relabelling_bound < dense.deletion(setup).relabelling_bound + 5
 
 
 def test_readings_far_finer_than_their_datums_are_still_weighed() -> None:

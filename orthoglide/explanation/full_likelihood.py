@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.columns import LinearisedModel
@@ -37,6 +38,8 @@ class Deletion(NamedTuple):
     difference: Array  # from that prediction (k,), metres
     mahalanobis_square: float  # of the difference, by its covariance
     log_det: float  # log determinant of the inverse covariance, in units of the noise
+    scatter_square: float  # part of the square that is scatter of readings with equal rows
+    row_count: int  # number of different rows
 
     @property
     def gain(self) -> float:
@@ -46,9 +49,9 @@ class Deletion(NamedTuple):
     @property
     def relabelling_bound(self) -> float:
         """Upper bound of the gain of log likelihood by other labels of these readings: by how much
-        less likely they are, given all others, than on average.
+        less likely they are, given all others, than on average. Labels leave the scatter unchanged.
         """
-        return (self.mahalanobis_square - len(self.difference)) / 2
+        return (self.mahalanobis_square - self.scatter_square - self.row_count) / 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -56,39 +59,58 @@ class FullLikelihood:
     """Likelihood of readings under the full model, in units of their noise."""
 
     weighing: Weighing
-    columns: Array  # of the machine and then of its instruments, in standard deviations (n, q)
+    # of the machine and then of its instruments, in standard deviations; of readings with equal
+    # rows the normalised sum, beside which their differences are noise (m, q)
+    columns: Array
     residual: Array  # (n,)
     scales: Scales
-    covariance: Array | None = None  # S, if it is known and has fewer rows than A columns
+    square: Array | None = None  # ``S`` or ``1 + A^T A``, see ``_square``, if it is known
+    group: NDArray[np.int64] | None = None  # row of each reading (n,); its own where absent
 
     @classmethod
     def from_linear_model(cls, model: LinearisedModel, scales: Scales) -> FullLikelihood:
         """Linearise the readings about the posterior."""
         nuisance = model.nuisance
         precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        columns, expected = in_standard_deviations(model, model.rows.columns(), scales)
-        whiten = nuisance.weighing.whiten
+        columns, expected = in_standard_deviations(model, model.rows.distinct, scales)
+        group, means = model.rows.index, nuisance.of_means(model.rows.index)
         return cls(
             nuisance.weighing,
-            whiten(np.hstack([columns, nuisance.columns / np.sqrt(precision)])),
-            whiten(model.problem.measured - model.value_at_zero - expected),
+            means.weighing.whiten(np.hstack([columns, means.columns / np.sqrt(precision)])),
+            nuisance.weighing.whiten(
+                model.problem.measured - model.value_at_zero - expected[group]
+            ),
             scales,
+            group=group,
         )
 
     @cached_property
+    def _groups(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Row of each reading ``(n,)``, and number of readings of each row ``(m,)``."""
+        group = np.arange(len(self.residual)) if self.group is None else self.group
+        return group, np.bincount(group)
+
+    def _normalised_sums(self, readings: Array) -> Array:
+        """Return the normalised sums ``(m, ...)`` of whitened readings ``(n, ...)`` of one row."""
+        group, count = self._groups
+        order, starts = np.argsort(group, kind="stable"), np.cumsum(count) - count
+        return np.asarray((np.add.reduceat(readings[order], starts, axis=0).T / np.sqrt(count)).T)
+
+    @cached_property
     def _is_wide(self) -> bool:
-        """True if columns outnumber readings. Then ``S`` is factorised, and else ``1 + A^T A``, the
+        """True if columns outnumber rows. Then ``S`` is factorised, and else ``1 + A^T A``, the
         smaller of the two, with ``S^-1 = 1 - A (1 + A^T A)^-1 A^T``.
         """
         return self.columns.shape[1] > len(self.columns)
 
     @cached_property
     def _square(self) -> Array:
-        """``S`` ``(n, n)`` or ``1 + A^T A`` ``(q, q)``."""
+        """``S`` ``(m, m)`` or ``1 + A^T A`` ``(q, q)``."""
+        if self.square is not None:
+            return self.square
         columns = self.columns if self._is_wide else self.columns.T
-        square = columns @ columns.T if self.covariance is None else self.covariance
-        if self.covariance is None:
-            square[np.diag_indices_from(square)] += 1.0
+        square = columns @ columns.T
+        square[np.diag_indices_from(square)] += 1.0
         return np.asarray(square)
 
     @cached_property
@@ -101,38 +123,58 @@ class FullLikelihood:
 
     @cached_property
     def _root(self) -> Array:
-        """``V`` of ``S^-1 = V V^T`` ``(n, n)``, or of ``S^-1 = 1 - V V^T`` ``(n, q)``."""
+        """``V`` of ``S^-1 = V V^T`` ``(m, m)``, or of ``S^-1 = 1 - V V^T`` ``(m, q)``."""
         right = np.eye(len(self.columns)) if self._is_wide else self.columns.T
         return np.asarray(solve_triangular(self._cholesky, right, lower=True).T)
 
-    def _weighted_residual(self, change: Array) -> Array:
-        """Return ``S^-1`` times the residual of changed readings ``(n,)``."""
-        residual = self.residual + self.weighing.whiten(change)
-        product = self._root @ (self._root.T @ residual)
-        return np.asarray(product if self._is_wide else residual - product)
+    @cached_property
+    def _weighted_as_read(self) -> Array:
+        """``S^-1`` times the residual of the readings as they stand ``(n,)``."""
+        return self._weighted(self.residual)
+
+    def _weighted(self, residual: Array) -> Array:
+        """Return ``S^-1`` times a residual ``(n,)``."""
+        sums, (group, count) = self._normalised_sums(residual), self._groups
+        product = self._root @ (self._root.T @ sums)
+        explained = sums - product if self._is_wide else product
+        return np.asarray(residual - (explained / np.sqrt(count))[group])
 
     def log_likelihood(self, change: Array) -> Array:
         """Return the log likelihood ``(h,)`` of readings with changes ``(n, h)``, metres."""
         residuals = self.residual[:, None] + self.weighing.whiten(change)
-        right = residuals if self._is_wide else self.columns.T @ residuals
+        sums = self._normalised_sums(residuals)
+        right = sums if self._is_wide else self.columns.T @ sums
         projected = solve_triangular(self._cholesky, right, lower=True)
-        square = np.sum(projected**2, axis=0)
-        if not self._is_wide:
-            square = np.sum(residuals**2, axis=0) - square
+        explained = np.sum(projected**2, axis=0)
+        if self._is_wide:
+            explained = np.sum(sums**2, axis=0) - explained
+        square = np.sum(residuals**2, axis=0) - explained
         return np.asarray(-(square + _log_determinant(self._cholesky)) / 2)
 
-    def deletion(self, rows: Rows, change: Array) -> Deletion:
+    def deletion(self, rows: Rows, change: Array | None = None) -> Deletion:
         """Return some readings, with a change of all readings ``(n,)``, metres, against their
         prediction by all others.
         """
-        block = self._root[rows] @ self._root[rows].T
-        inverse_block = block if self._is_wide else np.eye(len(rows)) - block
-        inverse_block[np.diag_indices_from(block)] += _ROUNDING
+        weighted = self._weighted_as_read
+        if change is not None and change.any():
+            weighted = self._weighted(self.residual + self.weighing.whiten(change))
+        group, total = self._groups
+        present, of_row, count = np.unique(group[rows], return_inverse=True, return_counts=True)
+        share, no_noise = np.sqrt(count / total[present]), np.eye(len(present))
+        block = self._root[present] @ self._root[present].T
+        hat = no_noise - block if self._is_wide else block
+        inverse_block = (1 + _ROUNDING) * no_noise - share[:, None] * hat * share
         cholesky = np.asarray(np.linalg.cholesky(inverse_block), dtype=np.float64)
-        whitened = solve_triangular(cholesky, self._weighted_residual(change)[rows], lower=True)
+        sums = np.bincount(of_row, weighted[rows]) / np.sqrt(count)
+        differences = weighted[rows] - (sums / np.sqrt(count))[of_row]
+        whitened = solve_triangular(cholesky, sums, lower=True)
         scaled = solve_triangular(cholesky, whitened, lower=True, trans="T")
-        square = float(whitened @ whitened)
-        return Deletion(scaled * self.weighing.sigma[rows], square, _log_determinant(cholesky))
+        difference = differences + (scaled / np.sqrt(count))[of_row]
+        scatter = float(differences @ differences)
+        return Deletion(
+            difference * self.weighing.sigma[rows], float(whitened @ whitened) + scatter,
+            _log_determinant(cholesky), scatter, len(present),
+        )  # fmt: skip
 
     def relabelled(
         self, rows: Rows, columns: Array, instruments: Array, residual: Array
@@ -140,24 +182,31 @@ class FullLikelihood:
         """Return the likelihood with other columns of the machine ``(k, C)``, nuisances and
         residual ``(k,)`` of whole setups, all in metres.
         """
-        whiten = self.weighing.subset(rows).whiten
+        whiten, (group, total) = self.weighing.subset(rows).whiten, self._groups
+        present, first = np.unique(group[rows], return_index=True)
         changed = np.pad(self.columns, [(0, 0), (0, instruments.shape[1])])
-        changed[rows] = 0.0
-        changed[rows, : columns.shape[1]] = whiten(columns)
-        changed[rows, self.columns.shape[1] :] = whiten(instruments)
+        changed[present] = 0.0
+        changed[present, : columns.shape[1]] = whiten(columns)[first]
+        changed[present, self.columns.shape[1] :] = whiten(instruments)[first]
+        changed[present] *= np.sqrt(total[present])[:, None]
         residuals = self.residual.copy()
         residuals[rows] = whiten(residual)
-        covariance = None
+        square = None
         if self._is_wide:  # the other readings have the covariance that they had
-            covariance = self._square.copy()
-            covariance[rows] = changed[rows] @ changed.T
-            covariance[:, rows] = covariance[rows].T
-            covariance[rows, rows] += 1.0
-        return replace(self, columns=changed, residual=residuals, covariance=covariance)
+            square = self._square.copy()
+            square[present] = changed[present] @ changed.T
+            square[:, present] = square[present].T
+            square[present, present] += 1.0
+        elif changed.shape[1] <= len(changed):  # and the information
+            before, after = self.columns[present], changed[present]
+            square, count = after.T @ after, len(self._square)
+            square[:count, :count] += self._square - before.T @ before
+            square[range(count, len(square)), range(count, len(square))] += 1.0
+        return replace(self, columns=changed, residual=residuals, square=square)
 
     def expected_noise(self, change: Array) -> Array:
         """Return the expected noise of changed readings ``(n,)``, metres."""
-        return self.weighing.metres(self._weighted_residual(change))
+        return self.weighing.metres(self._weighted(self.residual + self.weighing.whiten(change)))
 
 
 def _log_determinant(cholesky: Array) -> float:

@@ -268,7 +268,7 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
             corrected = wrong
             problem = with_faults_corrected(before.problem, [*wrong.values()])
             fit = solve(problem, method="nested", widen=False) if wrong else before
-            posterior = _posterior_at(fit, (), corrected=[*wrong.values()], suspected_faults=True)
+            posterior = _posterior_at(fit, (), posterior, [*wrong.values()], suspected_faults=True)
     return posterior
 
 
@@ -315,7 +315,7 @@ def full_posterior(
         return narrow
     not_converged = narrow.linearised.linearisation_error >= _CONVERGED
     try:
-        wide = _converge(wide_fit, given, None, fault_keys)
+        wide = _converge(wide_fit, given, narrow, fault_keys)
     except SolverError:
         if not_converged and not already_narrow:
             raise
@@ -335,13 +335,14 @@ def full_posterior(
 def _converge(
     before: Estimate,
     given: Sequence[str],
-    first_posterior: FullPosterior | None = None,
+    previous: FullPosterior | None = None,
     fault_keys: Collection[FaultKey] = (),
 ) -> FullPosterior:
-    """Return the posterior linearised at its mean, starting from ``first_posterior`` if given."""
+    """Return the posterior linearised at its mean, starting from ``previous`` if given."""
     with _closure_explained(before):
-        first = None if given else first_posterior
-        best = posterior = first or _posterior_at(before, given, suspected_faults=fault_keys)
+        if previous is None or previous.before is not before or given:
+            previous = _posterior_at(before, given, previous, suspected_faults=fault_keys)
+        best = posterior = previous
         for _ in range(_LINEARISATIONS - 1):
             if posterior.linearised.linearisation_error < _CONVERGED:
                 break
@@ -358,8 +359,10 @@ def _posterior_at(
     corrected: Sequence[Fault] = (),
     suspected_faults: bool | Collection[FaultKey] = False,
 ) -> FullPosterior:
-    """Return the posterior, linearised at the base fit or at the mean of ``previous``."""
-    point = None if previous is None else previous.next_point
+    """Return the posterior, linearised at the base fit, or at the mean of ``previous`` if of the
+    same fit; the search starts from the active groups of ``previous``.
+    """
+    point = previous.next_point if previous and previous.before is before else None
     start = () if previous is None else previous.mixture.active_groups
     linearised = linearise_full_model(before, point, corrected, suspected_faults)
     mixture = Mixture(linearised.linear, given, start)

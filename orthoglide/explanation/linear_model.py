@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from itertools import product
+from itertools import product, takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import solve_triangular, svd
 
 from orthoglide.geometry import Array
 
@@ -43,6 +43,9 @@ station, in sigmas of a reading. Steps of 1.7 lose at most 0.1 of ln Z on 50 rea
 
 _BACKGROUND_SCALES_WITH_NOISE = (0.003, 0.1, 0.3, 1.0, 3.0)
 """Scales of the catalogue that are combined with larger noise, under which small ones are equal."""
+
+NEGLIGIBLE_LOG_WEIGHT = 40.0
+"""Log weight below the best one from which a weight is lost in rounding: exp(-40) is 4e-18."""
 
 SOUND_BACKGROUND = 0.03
 """Tolerances: largest background scale of a machine that counts as sound."""
@@ -205,26 +208,54 @@ class Basis:
     Attributes:
         free_form_scale: scale of the inactive free functions.
         noise: sd of an independent error of each station, in sigmas of a reading.
-        whiten: from rows of the linear model to whitened ones ``(m, m)``.
-        residual: whitened residual ``(m,)``.
-        group_columns: whitened columns of all groups, see :attr:`LinearModel.group_columns`.
-        background_variance: that a background of one tolerance adds to each direction ``(m,)``.
-        log_det: of the covariance without background.
+        largest_log_z: log marginal likelihood, its prior weight counted, of readings that some
+            groups explain completely, without background; with one, or with groups, it is less.
     """
 
     def __init__(self, linear: LinearModel, free_form_scale: float, noise: float) -> None:
         self.linear, self.free_form_scale, self.noise = linear, free_form_scale, noise
-        fixed, free, background, stations = linear.prior_covariances
+        fixed, free, _, stations = linear.prior_covariances
         cov = fixed + free_form_scale**2 * free + noise**2 * stations
         cov[np.diag_indices_from(cov)] += 1.0
-        root = np.linalg.cholesky(cov)
-        self.log_det = 2 * float(np.log(np.diag(root)).sum())
-        whiten = solve_triangular(root, np.eye(len(root)), lower=True)
-        variance, vectors = np.linalg.eigh(whiten @ background @ whiten.T)
-        self.background_variance = np.maximum(variance, 0.0)
-        self.whiten = vectors.T @ whiten
-        self.residual = self.whiten @ linear.residual
-        self.group_columns = self.whiten @ linear.group_columns
+        self._root = np.linalg.cholesky(cov)
+        _, dof, visits = linear.station_remainder
+        self.station_variance = 1 + noise**2 * visits
+        self.largest_log_z = (
+            linear.noise_weight * (noise > 0)
+            - linear.noise_decay * float(np.log1p(noise**2)) / 2
+            - dof * float(np.log(self.station_variance)) / 2
+            - float(np.log(np.diag(self._root)).sum())
+        )
+
+    @cached_property
+    def _whitened_background(self) -> tuple[Array, Array]:
+        """Variance that a background of one tolerance adds to each direction ``(m,)``, and the
+        matrix from rows of the linear model to whitened ones ``(m, m)``.
+        """
+        whiten = solve_triangular(self._root, np.eye(len(self._root)), lower=True)
+        background = whiten @ self.linear.prior_covariances[2] @ whiten.T
+        variance, vectors = np.linalg.eigh(background)
+        return np.maximum(variance, 0.0), vectors.T @ whiten
+
+    @property
+    def background_variance(self) -> Array:
+        """Variance that a background of one tolerance adds to each direction ``(m,)``."""
+        return self._whitened_background[0]
+
+    @property
+    def whiten(self) -> Array:
+        """Matrix from rows of the linear model to whitened ones ``(m, m)``."""
+        return self._whitened_background[1]
+
+    @cached_property
+    def residual(self) -> Array:
+        """Whitened residual ``(m,)``."""
+        return np.asarray(self.whiten @ self.linear.residual)
+
+    @cached_property
+    def group_columns(self) -> Array:
+        """Whitened columns of all groups, see :attr:`LinearModel.group_columns`."""
+        return np.asarray(self.whiten @ self.linear.group_columns)
 
     @cached_property
     def columns(self) -> Array:
@@ -242,17 +273,13 @@ class Scale:
         self.weight = 1 / np.sqrt(1 + background_scale**2 * basis.background_variance)
         # Larger noise than declared is rare only if repeats determine the noise.
         self.rare = (background_scale > 1) + (basis.noise > 0 and basis.linear.noise_weight < 0)
-        chi2, dof, visits = basis.linear.station_remainder
         widest_usual, weight = basis.linear.wide_background
-        variance = 1 + basis.noise**2 * visits
         self.log_z = (
-            RARE_LOG_PRIOR * (background_scale > 1)
-            + basis.linear.noise_weight * (basis.noise > 0)
-            - basis.linear.noise_decay * float(np.log1p(basis.noise**2)) / 2
+            basis.largest_log_z
+            + RARE_LOG_PRIOR * (background_scale > 1)
             + weight * (background_scale > widest_usual)
-            - 0.5 * (chi2 / variance + dof * float(np.log(variance)))
+            - 0.5 * basis.linear.station_remainder.chi2 / basis.station_variance
             - 0.5 * float(self.residual @ self.residual)
-            - 0.5 * basis.log_det
             + float(np.log(self.weight).sum())
         )
 
@@ -276,14 +303,16 @@ class Scale:
 
 
 def scale_grid(linear: LinearModel) -> tuple[Scale, ...]:
-    """Return the grid of scales."""
+    """Return the grid of scales, without the larger noises that have no weight in any state."""
     if linear.unknown_noise is not None:
         return (Scale(Basis(linear, 0.0, 0.0), 1.0),)
     declared_noise = [Basis(linear, free, 0.0) for free in FREE_FORM_SCALES]
-    larger_noise = [Basis(linear, FREE_FORM_SCALES[0], noise) for noise in NOISE_SCALES]
+    grid = [Scale(basis, s) for s, basis in product(linear.background_scales, declared_noise)]
+    least = max(scale.log_z for scale in grid) - NEGLIGIBLE_LOG_WEIGHT
+    larger_noise = (Basis(linear, FREE_FORM_SCALES[0], noise) for noise in NOISE_SCALES)
+    possible = list(takewhile(lambda basis: basis.largest_log_z > least, larger_noise))
     fewer = [s for s in linear.background_scales if s in _BACKGROUND_SCALES_WITH_NOISE]
-    grid = [*product(linear.background_scales, declared_noise), *product(fewer, larger_noise)]
-    return tuple(Scale(basis, scale) for scale, basis in grid)
+    return (*grid, *(Scale(basis, s) for s, basis in product(fewer, possible)))
 
 
 def identity_group(
@@ -347,3 +376,22 @@ def marginal_covariances(
         return np.asarray(scaled_root.T @ scaled_root)
 
     return covariance
+
+
+def left_singular(columns: Array) -> tuple[Array, Array]:
+    """Return left singular vectors ``(k, m, q)`` and singular values ``(k, q)`` of columns.
+
+    LAPACK's divide and conquer fails to converge for some regular matrices. Then its slower
+    algorithm is used.
+    """
+    try:
+        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    except np.linalg.LinAlgError:
+        found = [svd(one, full_matrices=False, lapack_driver="gesvd") for one in columns]
+        left, singular = (np.stack(parts) for parts in list(zip(*found, strict=True))[:2])
+    return left, singular
+
+
+def shrink_along(rows: Array, left: Array, shrink: Array) -> Array:
+    """Return rows ``(m, ...)`` shrunk along orthonormal directions ``(m, q)``."""
+    return np.asarray(rows - (left * shrink) @ (left.T @ rows))

@@ -15,8 +15,14 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.linear_model import SOUND_BACKGROUND, Group, Scale, marginal_covariances
-from orthoglide.explanation.search import Search, State, shrink_along
+from orthoglide.explanation.linear_model import (
+    SOUND_BACKGROUND,
+    Group,
+    Scale,
+    marginal_covariances,
+    shrink_along,
+)
+from orthoglide.explanation.search import Search, State
 from orthoglide.geometry import Array
 from orthoglide.machine_file import symmetric_root
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
@@ -165,9 +171,9 @@ class Mixture(Search):
 
     def moments_if_sound(self, state: State, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state on a sound machine."""
-        scales = [self.scales[k] for k in self._sound_scales]
-        logs = self._log_z(scales, *self._active_directions(scales, state))
-        return self.moments(state, scales[largest(logs, LOG_ODDS_MARGIN)], index)
+        sound = self._sound_scales
+        logs = self._log_weights(state, self._past_active(state))[sound]
+        return self.moments(state, self.scales[sound[largest(logs, LOG_ODDS_MARGIN)]], index)
 
     @property
     def prior_log_odds_against(self) -> Array:
@@ -238,7 +244,7 @@ class Mixture(Search):
     def chi2_per_dof(self) -> float:
         """Chi2 per degree of freedom of the best state, its priors counted."""
         scale = self._likeliest_scale(self.best)
-        (left,), (shrink,) = self._active_directions([scale], self.best)
+        left, shrink = self._active_directions(scale, self.best)
         residual = shrink_along(scale.residual, left, shrink)
         return float(residual @ residual) / max(len(residual), 1)
 
@@ -255,12 +261,12 @@ class Mixture(Search):
             Size by group; the group that explains most comes first.
         """
         smaller = self.without(group)
-        left, shrink = self._active_directions(self.scales, smaller)
-        explained = self._gains(left, shrink)[0][0, :, -1]
+        past_active = self._past_active(smaller)
+        explained = self._gains(past_active)[0][0, :, -1]
         unknown_noise, noise_variance = self.linear.unknown_noise, 1.0
         if unknown_noise is not None:
-            explained_without = self._explained(left, shrink)[0]
-            noise_variance = unknown_noise.variance(float(explained_without + explained[group]))
+            explained_with = past_active.explained[0] + explained[group]
+            noise_variance = unknown_noise.variance(float(explained_with))
         fits_nearly_as_well = explained >= explained[group] - rise * noise_variance
         fits_nearly_as_well[[g for g, _ in self.best]] = False
         others, sizes = np.flatnonzero(fits_nearly_as_well), dict[int, float]()
@@ -294,7 +300,7 @@ class Mixture(Search):
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Return the mean of all coefficients in a state at a scale ``(C,)``."""
-        (left,), (shrink,) = self._active_directions([scale], state)
+        left, shrink = self._active_directions(scale, state)
         slab_root = self._slab_root(state)
         shrunk_once = shrink_along(scale.residual, left, shrink)
         products = scale.products_with_columns(shrink_along(shrunk_once, left, shrink))
@@ -302,7 +308,7 @@ class Mixture(Search):
 
     def _covariance(self, state: State, scale: Scale, index: NDArray[np.intp]) -> Array:
         """Return the covariance of some coefficients in a state at a scale ``(k, k)``."""
-        (left,), (shrink,) = self._active_directions([scale], state)
+        left, shrink = self._active_directions(scale, state)
         columns = shrink_along(scale.columns, left, shrink)
         slab_root = self._slab_root(state)
         # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
@@ -310,8 +316,8 @@ class Mixture(Search):
         prior = np.diag(scale.spike[index]) + slab_root[index] @ slab_root[index].T
         noise_variance, unknown_noise = 1.0, self.linear.unknown_noise
         if unknown_noise is not None:
-            explained_chi2 = float(self._explained(left[None], shrink[None])[0])
-            noise_variance = unknown_noise.variance(explained_chi2)
+            explained_chi2 = self._past_active(state).explained[0]
+            noise_variance = unknown_noise.variance(float(explained_chi2))
         return np.asarray(noise_variance * (prior - explained[:, index].T @ explained[:, index]))
 
     def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:

@@ -8,7 +8,7 @@ residual of the readings, and then from what the readings with these turns corre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.faults import Fault, Rows, setups_of
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
+    Deletion,
     FullLikelihood,
     Scales,
     in_standard_deviations,
@@ -66,7 +67,10 @@ def likeliest_misreading(
     """
     best: tuple[float, Fault | None]
     best = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN, None
-    for log_odds, alternative in _rank(posterior, alternatives, rows_by_setup, background_scales):
+    least = best[0] - posterior.evidence - _MISREADING_MARGIN
+    for log_odds, alternative in _rank(
+        posterior, alternatives, rows_by_setup, background_scales, least
+    ):
         # A search finds more to explain in the readings as they stand, where a misreading is left,
         # than in those with it corrected: the ranked odds are hardly ever exceeded by the final.
         if posterior.evidence + log_odds + _MISREADING_MARGIN < best[0]:
@@ -87,26 +91,27 @@ def _rank(
     alternatives: Sequence[Fault],
     rows_by_setup: RowsBySetup,
     background_scales: Sequence[Scales],
+    least: float,
 ) -> list[tuple[float, Fault]]:
-    """Return the alternative readings that fit better than the readings as they stand, the
-    likeliest first, each after its log odds.
+    """Return the alternative readings whose log odds against the readings as they stand exceed the
+    least ones, the likeliest first, each after its log odds.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if not alternatives or len(problem.measured) > _MOST_READINGS:
         return []
     likelihoods = _likelihoods(model, background_scales)
-    no_change = np.zeros(len(problem.measured))
+    deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
-    alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, dials)]
+    alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, deletions, dials)]
     corrected, lost = zip(
         *(corrected_readings(problem, fault) for fault in alternatives), strict=True
     )
     all_changes = np.column_stack([problem.measured, *corrected]) - problem.measured[:, None]
     by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
     as_read, *scores = np.logaddexp.reduce(by_scale, axis=0)
-    pairs = list(zip(by_scale[:, 0], likelihoods, strict=True))
-    bounds = {s: max(p + w.deletion(rows, no_change).relabelling_bound for p, w in pairs) - as_read
-              for s, rows in rows_by_setup.items()}  # fmt: skip
+    pairs = list(zip(by_scale[:, 0], deletions, strict=True))
+    bounds = {s: max(p + without[s].relabelling_bound for p, without in pairs) - as_read
+              for s in rows_by_setup}  # fmt: skip
     # A misreading may come beside the data faults that are active, or in place of them.
     model_with_faults, cost = _with_active_faults_fixed(posterior)
     if cost:
@@ -116,7 +121,7 @@ def _rank(
     for k, fault in enumerate(alternatives):
         if fault.relabels:
             bound = fault.log_odds + sum(bounds[s] for s in setups_of(problem, fault))
-            if bound > 0:
+            if bound > least:
                 scores[k] = _relabelled_log_likelihood(model, likelihoods, fault)
             else:
                 scores[k] = -np.inf
@@ -126,7 +131,7 @@ def _rank(
             scores[k] = np.logaddexp.reduce(deleted)
     gains = np.array([s + a.log_odds - as_read for s, a in zip(scores, alternatives, strict=True)])
     order = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
-    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > 0]
+    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > least]
 
 
 def _likelihoods(
@@ -182,30 +187,30 @@ _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
 
 
 def turn_alternatives(
-    problem: Problem, likelihoods: Sequence[FullLikelihood], rows_by_setup: RowsBySetup
+    problem: Problem,
+    likelihoods: Sequence[FullLikelihood],
+    deletions: Sequence[Mapping[int, Deletion]],
+    rows_by_setup: RowsBySetup,
 ) -> list[Fault]:
     """Return the likeliest whole turns by which readings of each setup, or of all, are off.
 
     Args:
         problem: the readings.
         likelihoods: their likelihood under several backgrounds.
+        deletions: of each of these, every setup against its prediction by all others.
         rows_by_setup: rows of each setup without a misreading.
     """
     found: dict[bytes, Fault] = {}
     least, most = _DIVISION_RANGE
     steps = {s: float(problem.resolution[rows].max()) for s, rows in rows_by_setup.items()}
-    for likelihood in likelihoods:
-        no_change = np.zeros(len(problem.measured))
-        deviations = {
-            s: likelihood.deletion(rows, no_change).difference for s, rows in rows_by_setup.items()
-        }
+    for likelihood, deletion in zip(likelihoods, deletions, strict=True):
         for turn in HAND_TURNS:
             # Dials whose step, 0 if unknown, allows such a hand.
             able = [s for s, step in steps.items() if not step or least <= turn / step <= most]
             dials = {s: rows_by_setup[s] for s in able}
             per_setup = np.zeros((len(dials), len(problem.measured)))
             for off, (s, rows) in zip(per_setup, dials.items(), strict=True):
-                off[rows] = turn * _whole_turns(deviations[s], turn)
+                off[rows] = turn * _whole_turns(deletion[s].difference, turn)
             for off in (*per_setup, _joint_turns(likelihood, dials, turn)):
                 if any(_are_turns(off[rows], problem.station[rows]) for rows in dials.values()):
                     alternative = _turn_alternative(problem, dials, off, turn)

@@ -21,14 +21,21 @@ from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import svd
 
-from orthoglide.explanation.linear_model import EXPECTED_CAUSES, LinearModel, Scale, scale_grid
-from orthoglide.explanation.pairs import likely_pairs
+from orthoglide.explanation.linear_model import (
+    EXPECTED_CAUSES,
+    NEGLIGIBLE_LOG_WEIGHT,
+    LinearModel,
+    Scale,
+    left_singular,
+    scale_grid,
+)
+from orthoglide.explanation.pairs import PastActive, likely_pairs
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
 
 _MOST_FOR_TRIPLES = 6  # active groups of which three may be exchanged for two others
+_SUM_ROUNDING = 1e-15  # of the trace, added to a diagonal so that rounding keeps it positive
 
 State = tuple[tuple[int, float], ...]
 """Active groups by index, each with its tau."""
@@ -60,7 +67,7 @@ class Search:
         self._given_names = frozenset(given)
         self.scales = scale_grid(linear)
         ends = np.cumsum([0, *(d.shape[1] for d in linear.visible_directions)])
-        self._first_column = ends[:-1]
+        self._first_column, self._column_count = ends[:-1], int(ends[-1])
         self._columns_of_group = [np.arange(a, b) for a, b in pairwise(ends)]
         self._by_size: dict[int, list[int]] = {}
         for k, span in enumerate(self._columns_of_group):
@@ -74,8 +81,10 @@ class Search:
         self.visited: dict[State, Array] = {(): np.array([s.log_z for s in self.scales])}
         self.children: dict[State, Array] = {}
         self._products: dict[int, Array] = {}
-        self.best = self._search(start)
-        self._products.clear()  # large, and hardly needed again
+        self._products_of_group: dict[int, Array] = {}
+        self._search(start)
+        for products in (self._products, self._products_of_group):
+            products.clear()  # large, and hardly needed again
         self.__dict__.pop("_crossed", None)
 
     @cached_property
@@ -89,7 +98,7 @@ class Search:
         """The best state as names of groups with their taus."""
         return tuple((self.linear.groups[k].name, tau) for k, tau in self.best)
 
-    def _search(self, start: Iterable[tuple[str, float]]) -> State:
+    def _search(self, start: Iterable[tuple[str, float]]) -> None:
         state: State = ()
         for group in sorted(self._given_groups):
             state = self.child(state, group)
@@ -99,9 +108,9 @@ class Search:
             self.child_log_weights(earlier)
             state = best_of((state, earlier), self.log_weight, LOG_ODDS_MARGIN)
         # A state keeps the weight of its first visit, despite rounding, so the loop terminates.
-        while better := self._better_state(state):
-            state = better
-        return state
+        self.best = state
+        while better := self._better_state(self.best):
+            self.best = better
 
     def _better_state(self, state: State) -> State | None:
         """Return a state of more weight from ever larger neighbourhoods, if there is one."""
@@ -177,15 +186,13 @@ class Search:
         if len(state) + 2 > self.linear.max_active:
             return []
         self.child_log_weights(state)
-        left, shrink = self._active_directions(self.scales, state)
         singles, states = self._single_groups, list[State]()
-        components, products = self._past_active(left, shrink, self._first_column[singles])
-        gram = self._crossed - components.transpose(0, 2, 1) @ components
+        past_active = self._past_active(state, self._first_column[singles])
+        weights, matters = self.visited[state], self._may_matter(state, past_active)
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])
-        weights = self.visited[state], self._explained(left, shrink)
         for i, tau, j, other_tau, log_weights in likely_pairs(
-            self.linear, gram, products, weights, cost, self._coarse_scales
+            self.linear, self._crossed, past_active, weights, cost, self._coarse_scales & matters
         ):
             pair = (int(singles[i]), tau), (int(singles[j]), other_tau)
             states.append(tuple(sorted((*state, *pair))))
@@ -214,28 +221,33 @@ class Search:
         return child
 
     def _expand(self, state: State) -> Array:
-        left, shrink = self._active_directions(self.scales, state)
+        past_active = self._past_active(state)
         if state not in self.visited:
-            odds = self.linear.log_odds_by_slab
-            prior_cost = sum(self.cost[g] - odds.get(tau, 0.0) for g, tau in state)
-            self.visited[state] = self._log_z(self.scales, left, shrink) - prior_cost
-        explained, occam = self._gains(left, shrink)
-        table = self.linear.log_likelihood_gain(explained, self._explained(left, shrink)) - occam
+            self.visited[state] = self._log_weights(state, past_active)
+        explained, occam = self._gains(past_active)
+        table = self.linear.log_likelihood_gain(explained, past_active.explained) - occam
         table += list(self.linear.log_odds_by_slab.values()) - self.cost[:, None]
         table += self.visited[state][:, None, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
 
-    def _gains(self, left: Array, shrink: Array) -> tuple[Array, Array]:
+    def _log_weights(self, state: State, past_active: PastActive) -> Array:
+        """Return the log weights of a state ``(scales,)``."""
+        odds, explained = self.linear.log_odds_by_slab, past_active.explained
+        prior_cost = sum(self.cost[g] - odds.get(tau, 0.0) for g, tau in state)
+        log_z = np.array([s.log_z for s in self.scales]) - past_active.log_det / 2 - prior_cost
+        gain = self.linear.log_likelihood_gain(explained, np.zeros(len(explained)))
+        return np.asarray(log_z + gain)
+
+    def _gains(self, past_active: PastActive) -> tuple[Array, Array]:
         """Return what each group explains of chi2 past the active ones, and its Occam factor.
 
         Both ``(scales, groups, taus)``; the second is half the log determinant.
         """
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slab_scales)
         explained, occam = np.zeros(shape), np.zeros(shape)
-        all_columns = np.arange(self._residual_products.shape[1])
-        components, products = self._past_active(left, shrink, all_columns)
-        chi2 = np.array([[s.residual @ s.residual] for s in self.scales])
+        components, products, *_ = past_active
+        chi2 = self._chi2[:, None]
         for size, members in self._by_size.items():
             index = np.array([self._columns_of_group[g] for g in members])
             parts = components[:, :, index].transpose(0, 2, 3, 1)
@@ -250,12 +262,21 @@ class Search:
         return explained, occam
 
     @cached_property
-    def _coarse_scales(self) -> list[int]:
-        """Indices of scales that represent the grid: fewer noises, least free functions."""
+    def _coarse_scales(self) -> NDArray[np.bool_]:
+        """Scales that represent the grid ``(scales,)``: fewer noises, least free functions."""
         least = min(s.free_form_scale for s in self.scales)
         noises = sorted({s.noise for s in self.scales})[::2]
-        chosen = [s.free_form_scale == least and s.noise in noises for s in self.scales]
-        return np.flatnonzero(chosen).tolist()
+        return np.array([s.free_form_scale == least and s.noise in noises for s in self.scales])
+
+    def _may_matter(self, state: State, past_active: PastActive) -> NDArray[np.bool_]:
+        """Return at which scales a state with more groups may have any weight ``(scales,)``: they
+        explain no more than the remaining chi2.
+        """
+        bound = self.visited[state] + (self._chi2 - past_active.explained) / 2
+        known_noise = self.linear.unknown_noise is None
+        return np.asarray(
+            (bound > self.log_weight(self.best) - NEGLIGIBLE_LOG_WEIGHT) | (not known_noise)
+        )
 
     @cached_property
     def _single_groups(self) -> NDArray[np.intp]:
@@ -272,42 +293,61 @@ class Search:
         blocks = (s.some_group_columns(index) for s in self.scales)
         return np.stack([columns.T @ columns for columns in blocks])
 
-    def _past_active(self, left: Array, shrink: Array, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Project the group columns of the indices ``at`` past the active groups.
+    def _past_active(self, state: State, at: NDArray[np.intp] | slice = slice(None)) -> PastActive:
+        """Project group columns past the active groups: those of the indices ``at``, or all.
 
-        Returns:
-            Their components along the active groups ``(scales, q, k)``, and their products with
-            the residual past these ``(scales, k)``.
+        With ``L L^T = 1 + B^T B`` of the columns B of the active groups, each times its tau, the
+        inner product of columns past them is ``a^T b - (L^-1 B^T a)^T (L^-1 B^T b)``.
         """
-        rows = np.sqrt(1 - (1 - shrink[..., None]) ** 2) * left.transpose(0, 2, 1)
-        products = (rows @ self._residuals[..., None])[..., 0]
-        components = self._products_with_groups(rows, at)
-        explained = (products[:, None] @ components)[:, 0]
-        return components, self._residual_products[:, at] - explained
+        active, taus = self._active_columns(state)
+        residual, no_rows = self._residual_products, (len(self.scales), 0, self._column_count)
+        of_groups = [np.zeros(no_rows), *(self._products_with(group) for group, _ in state)]
+        rows = np.concatenate(of_groups, axis=1)
+        square = taus[:, None] * rows[:, :, active] * taus
+        rounding = _SUM_ROUNDING * np.trace(square, axis1=1, axis2=2)
+        square[:, range(len(taus)), range(len(taus))] += 1.0 + rounding[:, None]
+        root = np.linalg.cholesky(square)
+        inverse = np.linalg.solve(root, np.diag(taus))
+        components, of_residual = inverse @ rows[:, :, at], inverse @ residual[:, active, None]
+        products = residual[:, at] - (of_residual.transpose(0, 2, 1) @ components)[:, 0]
+        log_det = 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+        return PastActive(components, products, (of_residual**2).sum(axis=(1, 2)), log_det)
+
+    def _active_columns(self, state: State) -> tuple[NDArray[np.intp], Array]:
+        """Return the indices of the columns of the active groups ``(q,)``, and the tau of each."""
+        index = [k for group, _ in state for k in self._columns_of_group[group]]
+        taus = np.array([tau for group, tau in state for _ in self._columns_of_group[group]])
+        return np.array(index, dtype=np.intp), taus
+
+    def _products_with(self, group: int) -> Array:
+        """Return inner products of a group's columns and all group columns ``(scales, q, K)``."""
+        if group not in self._products_of_group:
+            at = self._columns_of_group[group]
+            rows = np.stack([s.some_group_columns(at).T for s in self.scales])
+            self._products_of_group[group] = self._products_with_groups(rows)
+        return self._products_of_group[group]
 
     @cached_property
     def _residual_products(self) -> Array:
         """Inner products of the residual and the columns of all groups ``(scales, K)``."""
-        columns = np.arange(sum(map(len, self._columns_of_group)))
-        return self._products_with_groups(self._residuals[:, None], columns)[:, 0]
+        return self._products_with_groups(np.stack([s.residual[None] for s in self.scales]))[:, 0]
 
     @cached_property
-    def _residuals(self) -> Array:
-        """Whitened residuals of all scales ``(scales, m)``."""
-        return np.stack([s.residual for s in self.scales])
+    def _chi2(self) -> Array:
+        """Squares of the whitened residuals of all scales ``(scales,)``."""
+        return np.array([s.residual @ s.residual for s in self.scales])
 
-    def _products_with_groups(self, rows: Array, index: NDArray[np.intp]) -> Array:
-        """Return inner products of rows ``(scales, q, m)`` and columns ``(scales, q, k)``.
+    def _products_with_groups(self, rows: Array) -> Array:
+        """Return inner products of rows ``(scales, q, m)`` and all columns ``(scales, q, K)``.
 
         Scales of one basis are computed together, as its columns are large.
         """
-        products = np.empty((*rows.shape[:2], len(index)))
+        products = np.empty((*rows.shape[:2], self._column_count))
         for basis in dict.fromkeys(s.basis for s in self.scales):
             shared = [k for k, s in enumerate(self.scales) if s.basis is basis]
-            all_columns = len(index) == basis.group_columns.shape[1]
-            matrix = basis.group_columns if all_columns else basis.group_columns[:, index]
             weighted = np.concatenate([rows[k] * self.scales[k].weight for k in shared])
-            products[shared] = (weighted @ matrix).reshape(len(shared), *products.shape[1:])
+            shape = len(shared), *products.shape[1:]
+            products[shared] = (weighted @ basis.group_columns).reshape(shape)
         return products
 
     def _gram_matrices(self, size: int, index: NDArray[np.intp]) -> Array:
@@ -318,46 +358,16 @@ class Search:
             self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in rows])
         return self._products[size]
 
-    def _active_directions(self, scales: Sequence[Scale], state: State) -> tuple[Array, Array]:
-        """Return left singular vectors of the active columns and their shrinkage.
-
-        Shapes ``(scales, m, q)`` and ``(scales, q)``; :func:`shrink_along` takes both.
+    def _active_directions(self, scale: Scale, state: State) -> tuple[Array, Array]:
+        """Return left singular vectors ``(m, q)`` of the active columns and their shrinkage
+        ``(q,)``; :func:`shrink_along` takes both.
         """
-        index = [k for group, _ in state for k in self._columns_of_group[group]]
-        tau = np.array([tau for group, tau in state for _ in self._columns_of_group[group]])
-        at = np.array(index, dtype=np.intp)
-        columns = np.stack([s.some_group_columns(at) for s in scales]) * tau
-        if not index:
-            return columns, np.zeros((len(scales), 0))
-        left, singular = left_singular(columns)
+        active, taus = self._active_columns(state)
+        columns = scale.some_group_columns(active) * taus
+        if not state:
+            return columns, taus
+        (left,), (singular,) = left_singular(columns[None])
         return left, 1 - 1 / np.sqrt(1 + singular**2)
-
-    def _log_z(self, scales: Sequence[Scale], left: Array, shrink: Array) -> Array:
-        """Return the log marginal likelihood with the active groups ``(scales,)``."""
-        residuals = np.stack([s.residual for s in scales])
-        gain = self._explained(left, shrink, residuals)
-        log_z = np.array([s.log_z for s in scales]) + np.log1p(-shrink).sum(axis=1)
-        return np.asarray(log_z + self.linear.log_likelihood_gain(gain, np.zeros(len(gain))))
-
-    def _explained(self, left: Array, shrink: Array, residuals: Array | None = None) -> Array:
-        """Return what the active groups explain of chi2 ``(scales,)``."""
-        residuals = self._residuals if residuals is None else residuals
-        components = (residuals[:, None] @ left)[:, 0]
-        return np.asarray(((1 - (1 - shrink) ** 2) * components**2).sum(axis=1))
-
-
-def left_singular(columns: Array) -> tuple[Array, Array]:
-    """Return left singular vectors ``(k, m, q)`` and singular values ``(k, q)`` of columns.
-
-    LAPACK's divide and conquer fails to converge for some regular matrices. Then its slower
-    algorithm is used.
-    """
-    try:
-        left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    except np.linalg.LinAlgError:
-        found = [svd(one, full_matrices=False, lapack_driver="gesvd") for one in columns]
-        left, singular = (np.stack(parts) for parts in list(zip(*found, strict=True))[:2])
-    return left, singular
 
 
 def explained_by_group(
@@ -386,8 +396,3 @@ def explained_by_group(
     root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
     explained = corner - root[..., count] ** 2
     return np.asarray(explained), np.asarray(np.log(root[..., :count]).sum(axis=-1))
-
-
-def shrink_along(rows: Array, left: Array, shrink: Array) -> Array:
-    """Return rows ``(m, ...)`` shrunk along orthonormal directions ``(m, q)``."""
-    return np.asarray(rows - (left * shrink) @ (left.T @ rows))

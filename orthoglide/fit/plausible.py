@@ -15,6 +15,7 @@ import numpy as np
 from orthoglide.errors import InputError, NumericsError, OrthoglideError
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import machine_instrument_priors
+from orthoglide.fit.least_squares import linearise, nuisances, orthonormal, project_out
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.repeats import GRID_TOLERANCE, off_grid, on_grid
 from orthoglide.fit.solving import solve
@@ -178,7 +179,7 @@ def check_drive_order(estimate: Estimate) -> None:
     subsets = [tuple(campaigns), *((k,) for k in campaigns if len(campaigns) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
     trials = [
-        (_scale_with_exchanged_drives(problem, subset, order), subset, order)
+        (_scale_with_exchanged_drives(estimate, subset, order), subset, order)
         for subset in subsets
         for order in orders
     ]
@@ -196,16 +197,32 @@ def check_drive_order(estimate: Estimate) -> None:
 
 
 def _scale_with_exchanged_drives(
-    problem: Problem, subset: tuple[int, ...], order: tuple[int, ...]
+    estimate: Estimate, subset: tuple[int, ...], order: tuple[int, ...]
 ) -> float:
-    """Return the ratio of residuals to noise with some campaigns' drives exchanged."""
-    factors, to = list(problem.leg_factors), list(order)
+    """Return the ratio of residuals to noise with some campaigns' drives exchanged; infinite if
+    even a linear fit without priors leaves more than the estimate does.
+    """
+    problem, to = estimate.problem, list(order)
+    factors = list(problem.leg_factors)
     for k in subset:
         old = factors[k].readings
         moves = replace(old.moves, command=old.moves.command[:, to])
         new = replace(old, command=old.command[:, to], approach=old.approach[:, to], moves=moves)
         factors[k] = factors[k].with_table(new)
+    exchanged = problem.with_leg_factors(factors)
     try:
-        return solve(problem.with_leg_factors(factors), method="nested").sigma_scale
+        if _linear_scale(exchanged) > estimate.sigma_scale:
+            return np.inf
+        return solve(exchanged, method="nested").sigma_scale
     except NumericsError:
         return np.inf
+
+
+def _linear_scale(problem: Problem) -> float:
+    """Return the ratio of residuals to noise of a linear fit without priors."""
+    linear = linearise(problem, problem.start)
+    nuisance = nuisances(problem, linear.reading_poses)
+    basis = orthonormal(nuisance.project(linear.jacobian))
+    residual = project_out(basis, nuisance.project(problem.measured - linear.value))
+    dof = len(problem.measured) - nuisance.unconstrained_count - basis.shape[1]
+    return float(np.sqrt(residual @ residual / max(dof, 1)))
