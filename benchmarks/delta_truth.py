@@ -57,8 +57,9 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "belt": ("encoder_scale.@",),
     "bed of three lobes": ("plate_trefoil.bed.cos", "plate_trefoil.bed.sin"),
     "bed a bowl": ("plate_bow.bed",),
+    "saddle of a bed": ("plate_saddle.bed.cos", "plate_saddle.bed.sin"),
 }
-OUTSIDE = ("wavy rail", "kinked rail", "carriage rolls in waves", "saddle of a bed", "bump",
+OUTSIDE = ("wavy rail", "kinked rail", "carriage rolls in waves", "bump",
            "uneven bed")  # fmt: skip
 SHARES = {"nothing": 6, "effect": 14, "outside": 6, "whole": 4}
 
@@ -189,7 +190,6 @@ def _strange(kind: str, rng: np.random.Generator) -> Cause:
         "carriage rolls in waves": lambda rig, v: replace(
             rig, turns={leg: lambda s: 40.0 * v * wave(s)}
         ),
-        "saddle of a bed": bed(lambda x, y: x**2 - y**2),
         "uneven bed": bed(uneven),
         "bump": bed(lambda x, y: np.exp(-((x - 0.4) ** 2 + (y - 0.2) ** 2) / 0.05)),
     }

@@ -33,7 +33,10 @@ WITH_MEMBERS = {
         ("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"), ("radial", "tangential")
     ),
 }
-ON_PLATE = ("plate_bow.{}", "plate_trefoil.{}.cos", "plate_trefoil.{}.sin")
+ON_PLATE = (
+    "plate_bow.{}", "plate_trefoil.{}.cos", "plate_trefoil.{}.sin", "plate_saddle.{}.cos",
+    "plate_saddle.{}.sin",
+)  # fmt: skip
 
 
 def parameter_names(plates: tuple[str, ...] = ()) -> Iterator[str]:
@@ -219,7 +222,8 @@ class DeltaRig:
     def plate(self, x: float, y: float, radius: float, name: str = "bed") -> float:
         """Height of a plate at a place, its shapes named over a radius."""
         u, v = x / radius, y / radius
-        shapes = (u**2 + v**2, u**3 - 3 * u * v**2, 3 * u**2 * v - v**3)
+        three, two = (u + 1j * v) ** 3, (u + 1j * v) ** 2
+        shapes = (abs(two), three.real, three.imag, two.real, two.imag)
         own = sum(
             self._e(key.format(name)) * value for key, value in zip(ON_PLATE, shapes, strict=True)
         )

@@ -256,6 +256,21 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     assert "rail_tilt.tangential.common" not in left
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_saddle_is_the_plate_and_not_the_hinges(seed: int) -> None:
+    """Turned hinges and short links of different widths were named with up to 0.8."""
+    rng = np.random.default_rng([seed, 71])
+    size = float(rng.choice([-1, 1])) * 2.5e-4
+    rig = DeltaRig(errors={"plate_saddle.bed.cos": size, "axis_offset.a.radial": 4e-4})
+    readings = measured(rig, rng, machine=nominal(), instrument="mesh, distances")
+    verdict = close_loop([readings], nominal())
+    (cause,) = verdict.effects
+    assert cause.name == "plate_saddle.bed.cos"
+    assert cause.chosen.values[cause.name] == pytest.approx(size, abs=5e-5)
+    assert cause.probability > 0.9
+    assert f"high toward {0 if size > 0 else 90} degrees" in str(verdict)
+
+
 @pytest.mark.thorough
 def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     """Rivals of the cause are machines on which the place goes wrong as well; and the machine is

@@ -111,7 +111,7 @@ def test_a_pillar_that_leans_is_one_fault_of_its_three_distances(
 
 def test_a_slip_that_is_likelier_than_a_cause_is_told_before_it(tmp_path: Path) -> None:
     """The first sentence was of a cause of 5 %, and nothing was to be read again."""
-    found = mistyped(tmp_path, "11", "64.65")
+    found = mistyped(tmp_path, "11", "64.7")
     verdict = og.close_loop(found.campaigns, og.Machine(found.machine))
     (cause,) = verdict.effects
     assert verdict.word == "ambiguous"

@@ -104,6 +104,8 @@ READ = {
     "gauge_drift": rf"stand of (?P<leg>\w+) creeps: its reading (?P<way>grows|falls) by {SIZE}",
     "part_size": rf"distances in (?P<leg>\w+) {SIZE} (?P<way>longer|shorter)",
     "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
+    "plate_saddle": rf"plate of (?P<leg>\w+) is a saddle: its rim stands {SIZE} high toward "
+    rf"(?P<way>\d+) degrees",
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
     rf"(?P<way>\d+) degrees",
 }
@@ -155,8 +157,8 @@ def points(way: str, p: Parameter, value: float) -> bool:
         return way == f"{side}by {sign}"
     if p.effect == "backlash":
         return bool(way) == (value < 0)
-    if p.effect == "plate_trefoil":
-        phase = np.deg2rad(3 * float(way)) - (np.pi / 2 if p.direction == "sin" else 0)
+    if count := {"plate_saddle": 2, "plate_trefoil": 3}.get(p.effect):
+        phase = np.deg2rad(count * float(way)) - (np.pi / 2 if p.direction == "sin" else 0)
         return bool(np.cos(phase) * np.sign(value) > 0.99)
     if p.effect == "rail_bow":  # u^2 - 1 is negative between the ends
         value = -value

@@ -135,7 +135,9 @@ def test_catalogue_and_rig_know_the_same_parameters() -> None:
     assert set(CATALOGUE.expand(own, ["bed"])) == set(parameter_names(("bed",)))
 
 
-@pytest.mark.parametrize("name", CATALOGUE.expand(["plate_bow", "plate_trefoil"], ["bed"]))
+@pytest.mark.parametrize(
+    "name", CATALOGUE.expand(["plate_bow", "plate_saddle", "plate_trefoil"], ["bed"])
+)
 def test_shapes_of_a_plate_agree_with_the_independent_one(name: Parameter) -> None:
     rig, shape = DeltaRig(errors={name: 2e-4}), CATALOGUE.effect_of(name).shapes[name.direction]
     for u, v in ((0.0, 0.0), (0.9, 0.2), (-0.3, 0.7), (0.1, -1.0)):

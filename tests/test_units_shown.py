@@ -42,6 +42,7 @@ SIZES = {
     "gauge_scale": (-0.015, "1.5 %"),
     "gauge_drift": (1e-8, "0.036 mm an hour"),
     "plate_bow": (-2e-4, "0.2 mm"),
+    "plate_saddle": (-3e-4, "0.3 mm"),
     "plate_trefoil": (3e-4, "0.3 mm"),
 }
 

@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.units import MM, ONE
 
 PLATE_SHAPE_SD = 1e-4
-"""Standard deviation of a shape that an effect names, a bowl or three lobes, metres."""
+"""Standard deviation of a shape that an effect names: a bowl, a saddle or three lobes, metres."""
 
 PLATE_BOW = Effect(
     "plate_bow",
@@ -55,6 +55,25 @@ PLATE_TREFOIL = Effect(
     ),
 )
 
+PLATE_SADDLE = Effect(
+    "plate_saddle",
+    MM,
+    PLATE_SHAPE_SD / MM.si,
+    because="a bed held at its corners, or a bent sheet, twists by a tenth",
+    sentence="the plate is a saddle",
+    look_at="the plate with a straight edge in several directions across its middle",
+    words=Words(
+        "the plate{of_setup} is a saddle: its rim stands {size} high toward {ridge} degrees, and "
+        "low square to that",
+        "the plate{of_setup} is a saddle",
+        "the plates are saddles",
+        confirm="lay a straight edge across the plate{of_setup} toward {ridge} degrees: expect a "
+        "gap of {size} under its middle",
+    ),
+    group="plate",
+    plate=(("cos", lambda x, y: x**2 - y**2), ("sin", lambda x, y: 2 * x * y)),
+)
+
 PART_SIZE = Effect(
     "part_size",
     ONE,
@@ -75,15 +94,16 @@ PART_SIZE = Effect(
 )
 
 
-EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
+EFFECTS = (PLATE_BOW, PLATE_SADDLE, PLATE_TREFOIL)
 DELTA_EFFECTS = (PART_SIZE,)
 
 
 def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
-    """Return shapes of degree 2 to 4 that no effect names, with their standard deviations.
+    """Return small shapes of degree 2 to 4, with their standard deviations.
 
-    A plate is never flat apart from a bowl and three lobes, and its residual shape is no cause in
-    the machine. Each degree of the polynomial halves the expected size.
+    A plate is never flat apart from a bowl, a saddle and three lobes, and its residual shape is no
+    cause in the machine. A saddle of half the usual size belongs to it: that much is not worth a
+    cause. Each degree of the polynomial halves the expected size.
 
     Args:
         position: on the plate over its radius ``(n, 2)``.

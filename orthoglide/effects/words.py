@@ -94,9 +94,11 @@ def _hinge_axis(parameter: Parameter) -> str:
     return f"{letter}, {axis}"
 
 
-def _lobe(parameter: Parameter, value: float) -> int:
-    """Return the direction of a lobe of a plate from +x, counter-clockwise, degrees."""
-    return (0 if parameter.direction == "cos" else 30) + (0 if value >= 0 else 60)
+def _high_side(parameter: Parameter, value: float, count: int) -> int:
+    """Return the direction of a high side of a plate that has several, from +x, counter-clockwise,
+    degrees.
+    """
+    return ((parameter.direction == "sin") * 90 + (value < 0) * 180) // count
 
 
 _BLANKS: Mapping[str, Callable[[Parameter, float], Any]] = {
@@ -110,7 +112,8 @@ _BLANKS: Mapping[str, Callable[[Parameter, float], Any]] = {
     "along": lambda p, v: along(p.leg, p.direction),
     "axis": lambda p, v: _hinge_axis(p),
     "sense": lambda p, v: rotation_sense(p.direction, v, p.leg in LinearDelta.names.legs),
-    "lobe": _lobe,
+    "ridge": lambda p, v: _high_side(p, v, 2),
+    "lobe": lambda p, v: _high_side(p, v, 3),
 }
 
 
@@ -168,7 +171,7 @@ class Words:
     one; ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and ``{%}``, the value in another
     unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two words by its sign; and by its
     direction ``{toward}`` and ``{away}``, ``{across}`` without sign, ``{along}`` to set a square,
-    ``{axis}`` with ``{sense}`` of a rotation, and ``{lobe}`` of a plate, degrees.
+    ``{axis}`` with ``{sense}`` of a rotation, and ``{ridge}`` or ``{lobe}`` of a plate, degrees.
 
     Attributes:
         one: clause for one parameter and its value, SI, with sign, size and unit.

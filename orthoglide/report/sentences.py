@@ -183,8 +183,9 @@ def largest_residual_text(result: Result) -> str:
     """Return where the residual is largest: the leg, the direction and the station."""
     if result.left.shaped > _CHANCE_LEVEL > result.left.p_value:
         return (
-            " The plate's own shape would explain it, finer than a bowl or three lobes: touch it "
-            "again, turned by 60 degrees (turned_deg of its setup); what turns with it is its own."
+            " The plate's own shape would explain it, finer than a bowl, a saddle or three lobes: "
+            "touch it again, turned by 60 degrees (turned_deg of its setup); what turns with it is "
+            "its own."
         )
     shares = [one.share for one in result.left.mountings]
     if shares and (points := 1 - sum(shares)) > max(shares):
