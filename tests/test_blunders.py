@@ -31,6 +31,7 @@ from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import read_campaign
+from orthoglide.progress import Step
 from orthoglide.report.tables import residual_table
 from orthoglide.result import DataFault, DataRival
 from orthoglide.verdict import close_loop
@@ -200,8 +201,12 @@ def test_a_fault_is_found_and_named(what, machine, nominal):
     rows = rows_of(case.protocol, seed=case.seed, **case.errors)
     spoilt, touched = case.spoil(rows)
     estimate = estimate_of(spoilt, nominal if case.by_nominal else machine)
-    found = find_data_faults(estimate)
+    steps: list[Step] = []
+    found = find_data_faults(estimate, steps.append)
     (blunder,) = reported(estimate, found)
+    assert [str(step) for step in steps] == [
+        "looking for faults of the data", "looking for faults of the data beside 1 found"
+    ]  # fmt: skip
     assert (blunder.kind, set(blunder.setups)) == (case.kind, set(case.setups))
     assert found.notes == ()
     if case.kind != "exchanged_labels":

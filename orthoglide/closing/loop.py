@@ -69,8 +69,7 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     )  # fmt: skip
     base_fit = account_for_changes(solve(with_refuted_noise_enlarged(problem), method="nested"))
     check_drive_order(base_fit)
-    progress(Step("faults"))
-    findings = find_data_faults(base_fit)
+    findings = find_data_faults(base_fit, progress)
     changes = findings.changes
     outcome = _search(request, base_fit, findings, progress)
     if outcome.word not in _FULLY_EXPLAINED and any(

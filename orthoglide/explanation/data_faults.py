@@ -50,6 +50,7 @@ from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
 from orthoglide.observations.touched_plates import file_disagreements
+from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import DataFault
 
 _ROUNDS = 6
@@ -78,8 +79,12 @@ class DataFindings:
     notes: tuple[Note, ...] = ()
 
 
-def find_data_faults(estimate: Estimate) -> DataFindings:
+def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> DataFindings:
     """Find data faults and changes between visits, from the fit of the base model to all readings.
+
+    Args:
+        estimate: the fit.
+        progress: called at each round of the search.
 
     Raises:
         InputError: if repeats scatter more than those of any such instrument.
@@ -89,6 +94,7 @@ def find_data_faults(estimate: Estimate) -> DataFindings:
     faults_found = find_scattered_setups(problem)
     contradictions, unsettled = list[Note](), tuple[Note, ...]()
     for _ in range(_ROUNDS):
+        progress(Step("faults", f"beside {len(faults_found)} found" if faults_found else ""))
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
