@@ -478,6 +478,15 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
     assert any("7 touches" in note for note in import_printer(file).notes)
 
 
+def test_one_slip_is_no_move_of_the_endstops(tmp_path: Path) -> None:
+    """One touch of seven that is off by 0.35 mm moved all heights by its seventh."""
+    text = (DATA / "v400-april.cfg").read_text()
+    written = "height0_pos = 32257.400,32158.800,32215.600"
+    assert written in text
+    found = imported(tmp_path, text.replace(written, written.replace("32257", "32178")))
+    assert not any("moved after the touches" in note for note in found.notes)
+
+
 @pytest.mark.parametrize("moved", [-0.46])
 def test_where_the_owner_set_the_nozzle_stays(tmp_path: Path, moved: float) -> None:
     """Z_OFFSET_APPLY_ENDSTOP moves all endstops: heights of before tell all else as they did."""

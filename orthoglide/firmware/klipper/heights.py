@@ -59,7 +59,7 @@ _MIN_STEP_GAIN = 14.0
 """Decrease of chi2 that a changed length of a step must reach against moved endstops, which are a
 thousand times as frequent (2 ln 1000)."""
 _MIN_PLANE_HEIGHTS = 3  # heights that determine a mean and a slope
-_MIN_ENDSTOP_SHIFT = 3e-5  # metres: a larger mean residual of heights means moved endstops
+_MIN_ENDSTOP_SHIFT = 3e-5  # metres: larger residuals of heights mean moved endstops
 _MAX_SLOPE = 2e-5, 0.1  # largest slope beside that mean: metres at the rim, or share of the mean
 
 
@@ -315,7 +315,8 @@ def _endstop_shift(config: Config, kind: str, p: Array, height: Array) -> float:
     rise_at_rim = float(np.hypot(along_x, along_y) * np.hypot(*p[:, :2].T).max())
     is_far = abs(median) > _MAX_VALUE_ERROR
     is_level = rise_at_rim <= max(_MAX_SLOPE[0], _MAX_SLOPE[1] * abs(mean))
-    if not is_far and not (is_level and abs(mean) > _MIN_ENDSTOP_SHIFT):
+    # A single slip moves the mean alone.
+    if not is_far and not (is_level and min(abs(mean), abs(median)) > _MIN_ENDSTOP_SHIFT):
         return 0.0
     shift = mean if is_level else median
     doubt = "; if they are of another machine or hotend, run DELTA_CALIBRATE again"
