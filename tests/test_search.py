@@ -331,7 +331,22 @@ def test_readings_with_equal_rows_are_weighed_by_their_sums(causes: int) -> None
     one, other = (w.log_likelihood(no_change) for w in labelled)
     assert one == pytest.approx(other)
     # Other labels change the rows and not the scatter of readings with equal rows.
-    assert sums.deletion(setup).relabelling_bound < dense.deletion(setup).relabelling_bound + 5
+    assert sums.deletion(setup).relabelling_limit < dense.deletion(setup).relabelling_limit + 5
+
+
+def test_a_setup_is_predicted_by_all_others_in_metres() -> None:
+    """Visits share their rounding: whole turns of a hand were taken for half of them."""
+    rng, station = np.random.default_rng(4), np.repeat(np.arange(6), 3)
+    columns, readings = 1e-5 * rng.standard_normal((18, 4)), 1e-5 * rng.standard_normal(18)
+    weighing = Weighing(np.full(18, 2e-6), np.full(18, 6e-6), station)
+    covariance = np.diag(weighing.sigma**2) + 6e-6**2 * (station[:, None] == station)
+    precision = np.linalg.inv(covariance + columns @ columns.T)
+    likelihood = FullLikelihood(
+        weighing, weighing.whiten(columns), weighing.whiten(readings), (1.0, 1.0)
+    )
+    setup = np.flatnonzero(station < 2)
+    expected = np.linalg.solve(precision[np.ix_(setup, setup)], (precision @ readings)[setup])
+    assert likelihood.deletion(setup).difference == pytest.approx(expected, rel=1e-6)
 
 
 def test_readings_far_finer_than_their_datums_are_still_weighed() -> None:

@@ -306,8 +306,9 @@ _ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
 _LINE = Kernel(1.0, 0, line=True)
 _OU = Kernel(1 / 3, 24, rough=1.0)  # a sixth of the session
 _DRIFT = Kernel(0.5, 12, rough=0.1)  # warmth comes and goes slowly, and begins at once
-_SCREW_GROWTH = 10 * _UM  # metres: half a stroke of steel that warms by ten kelvin
-# Even warmth is no free function: it reaches drives as often as bars, whose growth has a name.
+_SCREW_GROWTH = 10 * _UM  # half a stroke of steel, 80 mm, that warms by ten kelvin
+# Linear warming of a drive is as frequent as that of bars, which is a cause of the catalogue: ten
+# times as frequent as a free-form error.
 _WARMTH_CHANCE = 10.0
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
 # stroke. On a stroke of less than three such waves the kernels above describe them as well.

@@ -102,8 +102,8 @@ def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Arr
     """Return small shapes of degree 2 to 4, with their standard deviations.
 
     A plate is never flat apart from a bowl, a saddle and three lobes, and its residual shape is no
-    cause in the machine. A saddle of half the usual size belongs to it: that much is not worth a
-    cause. Each degree of the polynomial halves the expected size.
+    cause in the machine. Small saddles belong to it, so that only larger ones are causes. Each
+    degree of the polynomial halves the expected size.
 
     Args:
         position: on the plate over its radius ``(n, 2)``.

@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.ordering import RELATIVE_MARGIN, best_of, largest
 
 _LEAST_STATE_WEIGHT = 1e-3  # least weight of a state that is considered
-_LEAST_COMMAND_PROBABILITY = 0.01  # least probability of a wrong command for a second look
+_LEAST_COMMAND_PROBABILITY = 0.01  # of a wrong command that is corrected and linearised again
 _LEAST_SINGLE_PROBABILITY = 0.01  # least probability of a single group as an alternative
 
 
@@ -65,22 +65,28 @@ class Alternatives:
         return self.mixture.child(self.mixture.without(member), other)
 
     @cached_property
-    def possible_commands(self) -> tuple[tuple[int, int], ...]:
-        """The likeliest wrong command in place of each active group, no rows twice, as both groups.
+    def possible_commands(self) -> dict[int, int]:
+        """The likeliest wrong command in place of each active group, by that group, which may be
+        the command itself; no reading belongs to two of them.
 
-        A large one is far from linear: it is ruled out where the readings are linear about it.
+        A large wrong command is far from linear: before it is ruled out it is corrected, and the
+        readings are linearised again.
         """
         groups, possible = self.mixture.linear.groups, dict[int, int]()
         rows = {k: {*g.source.fault.rows.tolist()} for k, g in enumerate(groups)
                 if g.of_data and g.source.fault.drive is not None}  # fmt: skip
         active = [member for member, _ in self.mixture.best]
         for member in sorted(active, key=lambda k: k not in rows) if rows else ():
-            odds = self.probabilities(member)
-            likeliest = member if member in rows else max(rows, key=lambda k: float(odds[k]))
-            is_new = not any(rows[likeliest] & rows[k] for k in possible.values())
-            if is_new and (likeliest == member or odds[likeliest] > _LEAST_COMMAND_PROBABILITY):
+            likeliest = member
+            if member not in rows:
+                probabilities = self.probabilities(member)[:-1]
+                candidates = [*rows]
+                likeliest = candidates[largest(probabilities[candidates])]
+                if probabilities[likeliest] <= _LEAST_COMMAND_PROBABILITY:
+                    continue
+            if not any(rows[likeliest] & rows[k] for k in possible.values()):
                 possible[member] = likeliest
-        return tuple(possible.items())
+        return possible
 
     @cached_property
     def probable_states(self) -> dict[State, float]:

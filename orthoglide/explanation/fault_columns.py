@@ -50,7 +50,7 @@ _PILLAR_WIDTH = 0.01
 9 mm wide."""
 
 _MOST_ZEROINGS = 12  # times that a dial is set to zero anew
-_SHIFTS = 64  # of twice as many moments of a shift or more, at least so many are tried
+_SHIFTS = 64  # least number of moments of a shift that are tried, if so many are possible
 
 _POSTURE = ("leg", "command")
 """What readings of one posture have in common; one leg is measured at a time."""
@@ -178,7 +178,7 @@ def _slips(problem: Problem) -> Iterator[FaultFamily]:
 def _slips_at_every_visit(problem: Problem) -> Iterator[FaultFamily]:
     """Yield an equal error of one dial at all visits to a posture: dirt, a burr, a wrong entry.
 
-    Its prior is a slip's times that of a free-form error relative to a cause of the catalogue.
+    Its prior is `FREE_FORM_PRIOR` times that of a slip.
     """
     posture = _group_numbers(problem, *_POSTURE)
     for setup in problem.leg_setups:
@@ -238,8 +238,7 @@ def _shifts_and_drifts(
         ]  # fmt: skip
         for cut in cuts[:: max(len(cuts) // _SHIFTS, 1)]:
             yield FaultFamily(kind, rows[None, cut:], columns[None, cut:])
-        # So many readings determine both, the nuisances and their rates, if there are any, as far
-        # as they determine a shift.
+        # A drift has the nuisances twice, themselves and their rates, if there are any.
         determined = len(rows) > 2 * width + 1 > 1
         if determined and not factor.on_legs and setup.name not in factor.drifting:
             drift = columns * factor.progress[in_factor, None]
@@ -290,7 +289,7 @@ def command_derivatives(
 ) -> Array:
     """Return the derivative of every reading of a dial by the commands of its posture ``(n, 3)``.
 
-    That of a corrected command is the mean one from the command as written: at zero travel, for
+    That of a corrected command is the secant from the command as written: at zero travel, for
     example, a drive's command moves the dials on its own leg to second order only.
 
     Args:
@@ -321,7 +320,7 @@ def _wrong_commands(
     """Yield the wrong commands of each drive at every visit to a posture, as in a program, and at
     one of several visits, as typed by hand. A wrong command at a single reading would be a slip.
 
-    Both have the same expected number.
+    Both have equal shares of the prior.
     """
     # Corrections separate a visit from the other visits to its posture, so they are undone.
     written = with_faults_corrected(problem, [replace(f, size=-f.size) for f in corrected])
@@ -355,13 +354,12 @@ def _commands(
 
 
 def _group_sizes(numbers: Rows) -> Rows:
-    """Return the number of rows in the group of each row ``(n,)``."""
-    _, group, counts = np.unique(numbers, return_inverse=True, return_counts=True)
-    return np.asarray(counts[group])
+    """Return the number of rows in the group of each row ``(n,)``; numbers are -1 or more."""
+    return np.asarray(np.bincount(numbers + 1)[numbers + 1])
 
 
 def _grouped(numbers: Rows) -> Iterator[Rows]:
-    """Yield the rows of each number ``(N, k)``, of successive numbers of equal size at once."""
+    """Yield rows ``(N, k)`` of N groups of k rows each, for successive numbers of equal size."""
     order = np.argsort(numbers, kind="stable")
     starts = np.flatnonzero(np.diff(numbers[order], prepend=-2, append=-2))
     sizes = np.diff(starts)

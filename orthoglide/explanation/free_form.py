@@ -57,8 +57,8 @@ def visible_free_form_errors(problem: Problem) -> tuple[FreeForm, ...]:
     if session is not None and not session.timed:
         session = None  # the order tells no rate of a change
     errors = free_forms(session, machine.catalogue.legs, geometry.stroke, geometry.scale)
-    if len(problem.campaigns) < len(problem.factors):
-        # Only readings of legs distinguish a moved bar end from a moved carriage.
+    if problem.tool_factors:
+        # Readings at the tool do not distinguish a moved bar end from a moved carriage.
         errors = tuple(e for e in errors if not e.moves_bar_ends)
     travels = bump_travels(problem)
     errors += travel_bumps(travels, machine.catalogue.legs, geometry.stroke, geometry.scale)
@@ -79,8 +79,8 @@ def _session(problem: Problem) -> Session | None:
 
 
 def _moments(readings: Readings) -> tuple[Array, bool]:
-    """Return the seconds of readings ``(n,)``, and true; their order, and false, if any has no
-    time.
+    """Return the times of readings ``(n,)``, or their order if any has no time, and whether they
+    are times.
     """
     timed = bool(np.isfinite(readings.time).all())
     return (readings.time if timed else readings.order.astype(float)), timed
@@ -115,14 +115,16 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors; if
-    ``first`` is given, only its rows of those that depend on the present conditions alone.
+    """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors.
+
+    Readings under equal conditions have equal columns, except of errors that depend on the past. If
+    ``first`` is given, the columns of all others have its rows alone.
 
     Args:
         problem: the readings.
         x: its unknowns ``(P,)``, SI.
         residual: of the readings there ``(n,)``, SI.
-        fitted: orthonormal columns of everything fitted, in sigmas ``(n, q)``.
+        fitted: root of the hat matrix of everything fitted, priors included, in sigmas ``(n, q)``.
         first: first reading of each group under equal conditions, ascending.
     """
     errors = visible_free_form_errors(problem)
@@ -164,17 +166,18 @@ def _jump_candidates(
 ) -> Iterator[FreeForm]:
     """Yield free-form errors with a jump, at the moments that explain most of the residuals.
 
-    With r and s the residual and the step in sigmas, and V all that is fitted, a step explains
-    ``(s^T (1 - V V^T) r)^2 / (s^T (1 - V V^T) s)`` of chi2. A step between two mountings of a
-    dial, for example, is mostly explained by their datums.
+    With r and s the residual and the step in sigmas, and V the root of the hat matrix of all that
+    is fitted, a step explains ``(s^T (1 - V V^T) r)^2 / (s^T (1 - V V^T) s)`` of chi2. A step
+    between two mountings of a dial, for example, is mostly explained by their datums. The rounding
+    error that visits share is neglected here.
     """
     moments = np.concatenate([_moments(f.readings)[0] for f in problem.factors])
-    order = np.argsort(moments, kind="stable")
+    order = np.argsort(moments, kind="stable")[::-1]  # sums from the end are those after a moment
     whitened = residual / problem.sigma
     whitened = (whitened - fitted @ (fitted.T @ whitened))[order]
     moments, fitted = moments[order], fitted[order]
-    cuts = np.flatnonzero(np.diff(moments) > 0)
-    levels = [replace(p, kernel=Level()) for p in errors]
+    cuts = np.flatnonzero(np.diff(moments) < 0)
+    levels = [replace(error, kernel=Level()) for error in errors]
     columns = _columns_of_factors(problem, x, levels, problem.factors)
     for error, rows in zip(errors, columns, strict=True):
         step = (rows[:, 0] / problem.sigma)[order]
@@ -188,12 +191,12 @@ def _jump_candidates(
         remaining = squares[allowed] - np.sum(explained**2, axis=1)
         gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
         between = (moments[allowed] + moments[allowed + 1]) / 2
-        # Steps are lost as drives move, screws loosen at any moment: half of the prior is shared
-        # equally by the pauses between readings, half by their durations.
-        pause = moments[allowed + 1] - moments[allowed]
+        # A drive loses a step while it moves, once between two readings; a screw loosens at any
+        # time. Half of the prior is uniform over the pauses, half proportional to their durations.
+        pause = moments[allowed] - moments[allowed + 1]
         chance = (1 / len(allowed) + pause / pause.sum()) / 2
         order_of_gain = descending(gain / 2 + np.log(chance), LOG_ODDS_MARGIN)
-        # One for each full second, or reading, which names a jump.
+        # Jumps of one name, a full second or a reading, are one: their priors add.
         names = np.rint(between) if error.timed else np.floor(between)
         _, first, name = np.unique(names[order_of_gain], return_index=True, return_inverse=True)
         shares = np.bincount(name, chance[order_of_gain])
@@ -205,8 +208,10 @@ def _jump_candidates(
 def _bump_candidates(
     problem: Problem, x: Array, residual: Array, fitted: Array
 ) -> Iterator[FreeForm]:
-    """Yield the bumps of drives and rails that explain most of readings at one place of the tool
-    each, whose postures seldom have a travel of a leg in common; see `_jump_candidates`.
+    """Yield the bumps of drives and rails that explain most of the residuals of readings at the
+    tool; see `_jump_candidates`.
+
+    Their postures seldom share a travel of a leg, so bumps are tried at evenly spaced travels.
     """
     machine, geometry = problem.machine, problem.machine.geometry
     step = _BUMP_STEP * geometry.scale
@@ -248,7 +253,7 @@ def free_form_columns_of_factor(
     if any(error.against == "time" for error in errors):
         conditions = conditions.with_time(_moments(factor.readings)[0])
     legs = model.leg_conditions(values, conditions)
-    if factor.on_legs and any(p.against == "reversal" for p in errors):
+    if factor.on_legs and any(error.against == "reversal" for error in errors):
         half = np.ptp(model.geometry.stroke) / 2
         built_up = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(built_up[:, :, k])) for k, c in enumerate(legs))
@@ -257,13 +262,13 @@ def free_form_columns_of_factor(
         for leg in [error.leg] if error.leg >= 0 else range(len(LEGS)):
             functions = error.prior_sd * np.stack(error.functions(legs[leg]), axis=1)
             rows = rows + response(_joint_shares(error, leg), functions)
-        if error.moves_bar_ends and factor.on_legs:
-            rows += _carriage_shift_at_dials(error, factor.readings)[:, None] * functions
+            if error.moves_bar_ends and factor.on_legs:
+                rows += _carriage_shift_at_dials(error, factor.readings)[:, None] * functions
         yield rows
 
 
 def plate_shape_columns(problem: Problem) -> tuple[Array, Array]:
-    """Return the columns ``(n, F)`` of plate shapes that no effect names, and their prior sd."""
+    """Return the columns ``(n, F)`` of residual shapes of plates, and their prior sd."""
     columns, sd = [np.zeros((len(problem.measured), 0))], list[float]()
     for k, factor, number, setup in problem.iter_tool_setups():
         if setup.observation.touches:

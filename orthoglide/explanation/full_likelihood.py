@@ -1,7 +1,8 @@
 """The likelihood of readings, and of alternative readings, under the full model.
 
-Every parameter may deviate by a multiple of its tolerance, which gives whitened readings the
-covariance ``S = 1 + A D A^T``. Alternative readings r' have the log likelihood
+Every parameter and every nuisance of an instrument may deviate by its prior standard deviation,
+which gives whitened readings the covariance ``S = 1 + A A^T``, with the columns A in these standard
+deviations. Alternative readings r' have the log likelihood
 ``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them.
 """
 
@@ -27,7 +28,7 @@ WIDEST_DATUM = 1e-2
 """Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians."""
 
 # Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
-# sums keeps it positive definite. S, by far less regular, gets the bound of that rounding.
+# sums keeps it positive definite. S, whose condition is far worse, gets n times the epsilon.
 _SUM_ROUNDING = 1e-15
 _ROUNDING = 1e-12  # added to the diagonal of blocks of S^-1, which is 1 or less
 
@@ -47,11 +48,13 @@ class Deletion(NamedTuple):
         return (self.mahalanobis_square - self.log_det) / 2
 
     @property
-    def relabelling_bound(self) -> float:
-        """Upper bound of the gain of log likelihood by other labels of these readings: by how much
-        less likely they are, given all others, than on average. Labels leave the scatter unchanged.
+    def relabelling_limit(self) -> float:
+        """Gain of log likelihood that the right labels of these readings seldom exceed: with them
+        the square is its mean, less a standard deviation. Labels leave the scatter unchanged; the
+        determinants are taken as equal.
         """
-        return (self.mahalanobis_square - self.scatter_square - self.row_count) / 2
+        expected = self.row_count - np.sqrt(2 * self.row_count)
+        return float(self.mahalanobis_square - self.scatter_square - expected) / 2
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,13 +62,14 @@ class FullLikelihood:
     """Likelihood of readings under the full model, in units of their noise."""
 
     weighing: Weighing
-    # of the machine and then of its instruments, in standard deviations; of readings with equal
-    # rows the normalised sum, beside which their differences are noise (m, q)
+    # one row for each group of readings with equal rows, which stands for their sum over the root
+    # of their number: their differences are noise. First the columns of the machine, then those of
+    # its instruments, in prior standard deviations (m, q)
     columns: Array
     residual: Array  # (n,)
     scales: Scales
     square: Array | None = None  # ``S`` or ``1 + A^T A``, see ``_square``, if it is known
-    group: NDArray[np.int64] | None = None  # row of each reading (n,); its own where absent
+    group: NDArray[np.int64] | None = None  # group of each reading (n,); absent if none are equal
 
     @classmethod
     def from_linear_model(cls, model: LinearisedModel, scales: Scales) -> FullLikelihood:
@@ -153,7 +157,7 @@ class FullLikelihood:
 
     def deletion(self, rows: Rows, change: Array | None = None) -> Deletion:
         """Return some readings, with a change of all readings ``(n,)``, metres, against their
-        prediction by all others.
+        prediction by all others. The difference is exact for whole stations.
         """
         weighted = self._weighted_as_read
         if change is not None and change.any():
@@ -172,7 +176,7 @@ class FullLikelihood:
         difference = differences + (scaled / np.sqrt(count))[of_row]
         scatter = float(differences @ differences)
         return Deletion(
-            difference * self.weighing.sigma[rows], float(whitened @ whitened) + scatter,
+            self.weighing.subset(rows).metres(difference), float(whitened @ whitened) + scatter,
             _log_determinant(cholesky), scatter, len(present),
         )  # fmt: skip
 
@@ -192,12 +196,12 @@ class FullLikelihood:
         residuals = self.residual.copy()
         residuals[rows] = whiten(residual)
         square = None
-        if self._is_wide:  # the other readings have the covariance that they had
+        if self._is_wide:  # only these rows and columns of S change
             square = self._square.copy()
             square[present] = changed[present] @ changed.T
             square[:, present] = square[present].T
             square[present, present] += 1.0
-        elif changed.shape[1] <= len(changed):  # and the information
+        elif changed.shape[1] <= len(changed):  # only their part of A^T A changes
             before, after = self.columns[present], changed[present]
             square, count = after.T @ after, len(self._square)
             square[:count, :count] += self._square - before.T @ before

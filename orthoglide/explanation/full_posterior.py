@@ -93,7 +93,7 @@ class FullPosterior:
     def wrong_commands(self) -> dict[str, Fault]:
         """Wrong commands that the readings may have, by the names of their groups."""
         groups, possible = self.mixture.linear.groups, self.alternatives.possible_commands
-        return {groups[k].name: self.data_fault(member, k) for member, k in possible}
+        return {groups[k].name: self.data_fault(member, k) for member, k in possible.items()}
 
     @property
     def next_point(self) -> Array:
@@ -338,11 +338,13 @@ def _converge(
     previous: FullPosterior | None = None,
     fault_keys: Collection[FaultKey] = (),
 ) -> FullPosterior:
-    """Return the posterior linearised at its mean, starting from ``previous`` if given."""
+    """Return the posterior linearised at its mean; ``previous`` is the first iterate if it is of
+    this fit and no causes are given, else its active groups start the search.
+    """
     with _closure_explained(before):
-        if previous is None or previous.before is not before or given:
-            previous = _posterior_at(before, given, previous, suspected_faults=fault_keys)
-        best = posterior = previous
+        usable = previous is not None and previous.before is before and not given
+        first = previous if usable else None
+        best = posterior = first or _posterior_at(before, given, previous, (), fault_keys)
         for _ in range(_LINEARISATIONS - 1):
             if posterior.linearised.linearisation_error < _CONVERGED:
                 break

@@ -117,7 +117,7 @@ class LinearModel:
     residual: Array  # readings less the prediction at zero, whitened (m,)
     fixed_sd: Array  # prior sd of coefficients without background scale (C,); else nan
     free_form: NDArray[np.bool_]  # which belong to free functions (C,)
-    # mask of plate shapes that no effect names (C,): they explain readings, but are not reported
+    # mask of residual shapes of plates (C,): they explain readings, but are not reported
     plate_shapes: NDArray[np.bool_]
     groups: tuple[Group, ...]  # that may be active
     # an error of one sigma at each station (m, s), or another root of the same covariance (m, m)

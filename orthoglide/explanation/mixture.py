@@ -201,7 +201,7 @@ class Mixture(Search):
         """Return the inverse marginal covariance of the readings in a state ``(m, m)``, declared
         noise included. The scale must have no station errors.
 
-        Plate shapes that no effect names are included only if ``plate_shapes`` is true.
+        Residual shapes of plates are included only if ``plate_shapes`` is true.
         """
         columns = self.linear.columns
         slabs = columns @ self._slab_root(state)

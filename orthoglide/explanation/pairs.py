@@ -20,7 +20,9 @@ _NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus, from which taus are 
 
 
 class PastActive(NamedTuple):
-    """Columns past the active groups, at all scales of the background."""
+    """Inner products of columns given that some groups are active, at all scales of the background;
+    see `Search`.
+    """
 
     components: Array  # of the columns along the active groups (scales, q, n)
     products: Array  # inner products of the columns and the residual past these (scales, n)

@@ -110,7 +110,7 @@ def _rank(
     by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
     as_read, *scores = np.logaddexp.reduce(by_scale, axis=0)
     pairs = list(zip(by_scale[:, 0], deletions, strict=True))
-    bounds = {s: max(p + without[s].relabelling_bound for p, without in pairs) - as_read
+    limits = {s: max(p + without[s].relabelling_limit for p, without in pairs) - as_read
               for s in rows_by_setup}  # fmt: skip
     # A misreading may come beside the data faults that are active, or in place of them.
     model_with_faults, cost = _with_active_faults_fixed(posterior)
@@ -120,8 +120,8 @@ def _rank(
         as_read, *scores = np.maximum([as_read, *scores], np.logaddexp.reduce(each) - cost)
     for k, fault in enumerate(alternatives):
         if fault.relabels:
-            bound = fault.log_odds + sum(bounds[s] for s in setups_of(problem, fault))
-            if bound > least:
+            limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
+            if limit > least:
                 scores[k] = _relabelled_log_likelihood(model, likelihoods, fault)
             else:
                 scores[k] = -np.inf

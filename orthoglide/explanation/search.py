@@ -8,9 +8,9 @@ is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 
-The search adds one or two groups, and removes none, one or two. All pairs of causes and data faults
-with one coefficient are tried: where two are active, neither alone need be better than a wide
-background, and a third one between them may be better than either.
+Each step adds, removes or exchanges up to three groups. Two active causes may explain the readings
+only together, and a third cause may resemble their sum. All pairs of causes and data faults with
+one coefficient are therefore compared.
 """
 
 from __future__ import annotations
@@ -378,8 +378,8 @@ def explained_by_group(
     With noise as declared, half the first less the second is the log Bayes factor of the group.
 
     Args:
-        gram: Gram matrices of their columns ``(..., k, k)``.
-        products: inner products of columns and residual ``(..., k)``.
+        gram: Gram matrices of the groups' columns ``(..., k, k)``.
+        products: inner products of these columns and the residual ``(..., k)``.
         chi2_bound: upper bound of the squared residual, broadcast to ``(...)``.
         tau: scale of the slab.
     """
@@ -391,7 +391,9 @@ def explained_by_group(
     bordered = np.zeros((*products.shape[:-1], count + 1, count + 1))
     bordered[..., :count, :count] = tau**2 * gram + np.eye(count)
     bordered[..., count, :count] = tau * products
-    corner = 2.0 * chi2_bound + 1.0  # positive, whatever rounding does
+    # The last pivot of the bordered matrix is the corner less what the group explains. The corner
+    # exceeds that by far, so that rounding cannot make the pivot negative.
+    corner = 2.0 * chi2_bound + 1.0
     bordered[..., count, count] = corner
     root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
     explained = corner - root[..., count] ** 2

@@ -1,7 +1,8 @@
 """Consistency of lists of touches: whether a plate was moved or replaced between two of them.
 
-The place and the height of a touch are those of a delta's controller: lists are compared at places
-that both touched, whatever the machine's errors are.
+The place and the height of a touch are those of a delta's controller. Heights are compared at equal
+commanded places, so errors of the machine cancel; the list with more touches is interpolated at the
+touches of the other.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ height, by a tilt, and with many places by a smooth shape. Of 17 pairs on owners
 warm and cold, none does by more than 0.11, 0.036 and 0.015 mm; an endstop that moved by 0.3 mm
 tilts a plate by 0.07 mm or more. A quarter may differ by more: a list with one wrong touch of seven
 has to stay, as the other list is what shows that touch."""
-_MIN_COMMON_PLACES = 4  # places that establish a difference
+_MIN_COMMON_PLACES = 4  # places that establish a difference: one more than a plane has unknowns
 _SIGNIFICANT_SIGMAS = 3.0
 _USUAL_NOISE = 2.5e-5  # metres, of a difference of two touches
 _TRIMMING_STEPS = 5  # of a fit to the places that agree; most settle after two
@@ -99,33 +100,35 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
     if not len(difference):
         return None
     centred = places - places.mean(axis=0)
-    (height, *slope), shape = fit_plane(centred, difference)
-    differs = max(_quantile(difference) / _MAX_DIFFERENCE, _tilt(centred, difference)) > 1
+    plane, tilt_limit = _trimmed_plane(centred, difference)
+    (height, *slope), (_, shape) = plane, fit_plane(centred, difference)
+    differs = _upper_quartile(difference) > _MAX_DIFFERENCE
+    differs |= _upper_quartile(centred @ slope) > tilt_limit
     if len(difference) >= _MIN_SMOOTHED:
         x, y = centred.T
         columns = np.column_stack([plane_columns(centred), x**2, x * y, y**2])
         shape = columns @ np.linalg.lstsq(columns, shape, rcond=None)[0]
-        differs |= _quantile(shape) > _MAX_SHAPE
+        differs |= _upper_quartile(shape) > _MAX_SHAPE
     if not differs:
         return None
-    told = (
+    largest = _upper_quartile(difference) * 1e3
+    statement = (
         f"{name}.csv and {other}.csv are not of one plate and one set of numbers: at a quarter of "
-        f"the places that both touched, their heights differ by {_quantile(difference) * 1e3:.2f} "
-        f"mm or more"
+        f"the places that both touched, their heights differ by {largest:.2f} mm or more"
     )
     rise = float(np.hypot(*slope) * np.ptp(places, axis=0).max() / 2)
     toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
     higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
-    if _quantile(shape) > _MAX_SHAPE or not (higher or rise):
+    if _upper_quartile(shape) > _MAX_SHAPE or not (higher or rise):
         return Note(
-            f"{told}. Leave the older of the two out, or probe it again; of a plate that was "
+            f"{statement}. Leave the older of the two out, or probe it again; of a plate that was "
             f"turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
             "apart",
         )
     move = PlateMove(f"{name}.csv", higher, rise, toward, "that of the other")
     return Note(
-        f"{told}; {move.words}. An endstop, a screw of the plate or the probe was moved between "
-        f"them, or a number was changed: set the endstops anew, by the calibration of the "
+        f"{statement}; {move.words}. An endstop, a screw of the plate or the probe was moved "
+        f"between them, or a number was changed: set the endstops anew, by the calibration of the "
         f"firmware itself, and touch the plate again",
         "moved",
     )
@@ -143,11 +146,12 @@ def _differences(
     turns = [c.turned_by[c.touching].max(initial=0.0) for c in (campaign, other)]
     if turns[0] != turns[1] or not few.touching.any():
         return np.empty((0, 2)), np.empty(0)
-    (p, low), (q, high) = (_touched_heights(kinematics, c) for c in (few, many))
+    (p, heights), (q, other_heights) = (_touched_heights(kinematics, c) for c in (few, many))
     if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
         return np.empty((0, 2)), np.empty(0)
     q, first = np.unique(np.round(q, 5), axis=0, return_index=True)
-    difference = (low - LinearNDInterpolator(q, high[first])(p)) * (1 if few is campaign else -1)
+    difference = heights - LinearNDInterpolator(q, other_heights[first])(p)
+    difference *= 1 if few is campaign else -1
     common = np.isfinite(difference)
     if common.sum() < _MIN_COMMON_PLACES:
         return np.empty((0, 2)), np.empty(0)
@@ -155,12 +159,13 @@ def _differences(
     return p, difference - np.median(difference) * relative
 
 
-def _tilt(places: Array, difference: Array) -> float:
-    """Return the tilt of one list against the other, over the largest that is insignificant.
+def _trimmed_plane(places: Array, difference: Array) -> tuple[Array, float]:
+    """Return the plane ``(3,)`` of differences of heights, and the largest tilt that is not
+    significant, both in metres.
 
-    The plane is that of the three quarters of places, four or more, that lie nearest to it. At few
-    places the noise of touches tilts it too, which their residuals show, and three more of the size
-    that is usual.
+    The plane is fitted to the three quarters of places with the smallest residuals. The limit is
+    ``_MAX_TILT``, or three standard errors of the plane if that is larger. Their variance is that
+    of all residuals and of three more of the usual noise, for the three unknowns of the plane.
     """
     count = max(_MIN_COMMON_PLACES, int(np.ceil(0.75 * len(difference))))
     nearest = np.arange(len(difference))
@@ -170,10 +175,10 @@ def _tilt(places: Array, difference: Array) -> float:
         nearest = np.argsort(np.abs(residual), kind="stable")[:count]
     variance = (residual @ residual + 3 * _USUAL_NOISE**2) / len(residual)
     noise = _SIGNIFICANT_SIGMAS * float(np.sqrt(variance * 3 / len(residual)))
-    return _quantile(places @ plane[1:]) / max(_MAX_TILT, noise)
+    return plane, max(_MAX_TILT, noise)
 
 
-def _quantile(difference: Array) -> float:
+def _upper_quartile(difference: Array) -> float:
     """Return the size that a quarter of the differences of heights exceed, metres."""
     return float(np.quantile(np.abs(difference), 0.75)) if len(difference) else 0.0
 
