@@ -171,7 +171,8 @@ def _contradictions(problem: Problem, faults: Sequence[Fault]) -> Iterator[Note]
     """Yield a note on each kind of reading of which too many would have to be slips."""
     slip = np.zeros(len(problem.measured), dtype=bool)
     for fault in faults:
-        slip[fault.rows] |= fault.kind == "outlier"
+        # A pillar that leans is one fault of several distances.
+        slip[fault.rows[:1]] |= fault.kind == "outlier"
     for factor, rows in zip(problem.factors, problem.factor_rows, strict=True):
         for kind in dict.fromkeys(factor.readings.kind):
             of_kind = slip[rows][factor.readings.of_kind(kind) & factor.noise.weighted]
