@@ -221,6 +221,22 @@ def test_stuck_dial(machine):
     assert len({row for _, row in blunder.rows_in_request} ^ set(touched)) <= 1
 
 
+def test_a_wrong_command_at_zero_travel_is_solved_exactly():
+    """There a drive's command moves the dials on its own leg to second order only: 313.9 was said
+    of 310.25, as each linearisation went a small part of the way.
+    """
+    rig = Rig(
+        errors={f"joint_offset.{k}": v for k, v in zip("xyz", (1.2e-3, -7e-4, 4e-4), strict=True)}
+    )
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(23))
+    for row in rows:
+        if (row["leg"], row["posture"], row["repeat"]) == ("x", "+0", 1):
+            row["rho_x_mm"] = 330.25
+    (blunder,) = close_loop([campaign_of(rows)]).blunders
+    (command,) = re.findall(r"fit with rho_x = ([0-9.]+) mm where 330.25 is", blunder.message)
+    assert float(command) == pytest.approx(310.25, abs=0.7)
+
+
 def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
     judge = Machine(replace(machine.spec, controller=Controller((0.01, 0.0, 0.0), (-1, 1, 1))))
     rows = rows_of("standard", seed=2)

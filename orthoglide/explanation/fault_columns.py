@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 from scipy.sparse.csgraph import connected_components
 
 from orthoglide.explanation.corrections import with_faults_corrected
@@ -312,6 +313,35 @@ def command_derivatives(
             change = predicted[fault.rows] - np.concatenate(as_written)[fault.rows]
             derivatives[fault.rows, fault.drive] = change / fault.size
     return derivatives
+
+
+def with_exact_size(problem: Problem, x: Array, fault: Fault, linear: FaultColumns) -> Fault:
+    """Return a wrong command with the size that changes its readings as the linear model says.
+
+    Millimetres are far from linear, most of all at zero travel, where a command moves the dials on
+    its own leg to second order only.
+
+    Args:
+        problem: the readings, with the command as written.
+        x: values of its unknowns ``(P,)``, SI.
+        fault: the wrong command with the size of the linear model.
+        linear: its columns in that model.
+    """
+    change = linear.columns[:, 0] * fault.size / linear.unit
+    k, rows = factors_and_rows(problem, fault.rows)[0][0], fault.rows
+    values, model = problem.values(k, x), problem.machine.model
+    start = problem.factor_rows[k].start
+
+    def predicted(size: float) -> Array:
+        corrected = with_faults_corrected(problem, [replace(fault, size=size)])
+        return model.readings(values, corrected.campaigns[k].subset(rows - start))
+
+    written = predicted(0.0)
+    found = minimize_scalar(
+        lambda size: np.sum((predicted(size) - written - change) ** 2) / _COMMAND_UNIT**2,
+        bracket=(fault.size, 1.1 * fault.size),
+    )
+    return replace(fault, size=float(found.x))
 
 
 def _wrong_commands(

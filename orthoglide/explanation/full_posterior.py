@@ -16,11 +16,11 @@ from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_faults_corrected
-from orthoglide.explanation.fault_columns import FaultKey
+from orthoglide.explanation.fault_columns import FaultKey, with_exact_size
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.linear_model import Group
 from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, Mixture
-from orthoglide.fit import Estimate
+from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import NuisanceBlock
 from orthoglide.fit.least_squares import linearise_placed, nuisances
 from orthoglide.fit.notes import tolerance_notes
@@ -89,11 +89,14 @@ class FullPosterior:
         fault: Fault = data_group.source.with_sizes(mean[data_group.coefficients])
         return fault
 
-    @property
-    def wrong_commands(self) -> dict[str, Fault]:
-        """Wrong commands that the readings may have, by the names of their groups."""
-        groups, possible = self.mixture.linear.groups, self.alternatives.possible_commands
-        return {groups[k].name: self.data_fault(member, k) for member, k in possible.items()}
+    def wrong_commands(self, written: Problem) -> dict[str, Fault]:
+        """Return the wrong commands that the readings may have, by the names of their groups, given
+        the problem with the commands as written.
+        """
+        x, possible = self.before.x, self.alternatives.possible_commands
+        faults = {self.mixture.linear.groups[k]: self.data_fault(member, k)
+                  for member, k in possible.items()}  # fmt: skip
+        return {g.name: with_exact_size(written, x, f, g.source) for g, f in faults.items()}
 
     @property
     def next_point(self) -> Array:
@@ -213,7 +216,9 @@ class FullPosterior:
         """Estimate at the posterior mean, scored, with the learned prior in place of tolerances."""
         linearised, mixture, prior = self.linearised, self.mixture, self.moments.prior
         count, units = linearised.parameter_count, linearised.units
-        prior_root = _inverse_root(prior[:count, :count]) / units[:count]
+        values, vectors = np.linalg.eigh(prior[:count, :count])
+        sd = np.sqrt(np.maximum(values, 1e-12 * values.max()))  # of rounding at least
+        prior_root = (vectors / sd).T / units[:count]  # of the inverse
         matrix, target = linearised.prior_rows  # empty without an earlier calibration
         prior_rows = np.vstack([prior_root, matrix]), np.concatenate([np.zeros(count), target])
         curves = self._curve_nuisances(prior)
@@ -260,7 +265,7 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
     with _closure_explained(before):
         posterior = posterior_at_base_fit(before)
         for _ in range(_LINEARISATIONS):
-            wrong = posterior.wrong_commands
+            wrong = posterior.wrong_commands(before.problem)
             if wrong.keys() == corrected.keys() and all(
                 abs(wrong[name].size - corrected[name].size) < _COMMAND_CONVERGED for name in wrong
             ):
@@ -338,8 +343,8 @@ def _converge(
     previous: FullPosterior | None = None,
     fault_keys: Collection[FaultKey] = (),
 ) -> FullPosterior:
-    """Return the posterior linearised at its mean; ``previous`` is the first iterate if it is of
-    this fit and no causes are given, else its active groups start the search.
+    """Return the posterior linearised at its mean, from ``previous``, or from its active groups if
+    it is of another fit or causes are given.
     """
     with _closure_explained(before):
         usable = previous is not None and previous.before is before and not given
@@ -392,9 +397,3 @@ def _closure_explained(before: Estimate) -> Iterator[None]:
 def _exceeded_limits(estimate: Estimate) -> list[str]:
     """Return a clause for each base parameter that is far beyond its tolerance."""
     return [note.partition(":")[0] for note in tolerance_notes(estimate, sigmas=0.0)]
-
-
-def _inverse_root(covariance: Array) -> Array:
-    """Return ``W`` with ``W^T W`` the inverse of a covariance ``(P, P)``."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray((vectors / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T)
