@@ -11,8 +11,9 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
-from orthoglide.effects import CATALOGUE
+from orthoglide.effects import CATALOGUE, catalogue_of
 from orthoglide.effects.wording import confirm_words, size_words, value_words
+from orthoglide.layout import LinearDelta
 from orthoglide.mechanism.tree import load
 from orthoglide.numerals import compact
 from orthoglide.report import result_text
@@ -49,9 +50,10 @@ SIZES = {
 
 def test_every_size_is_said_in_its_unit() -> None:
     assert all(e.words.size is None for n, e in CATALOGUE.items() if n not in SIZES)
+    every = dict(catalogue_of(LinearDelta.names)) | dict(CATALOGUE)
     for name, (value, said) in SIZES.items():
-        assert size_words(CATALOGUE[name], value) == said
-        assert size_words(CATALOGUE[name], -value) == said
+        assert size_words(every[name], value) == said
+        assert size_words(every[name], -value) == said
 
 
 @pytest.mark.parametrize(

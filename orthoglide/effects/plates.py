@@ -94,8 +94,8 @@ PART_SIZE = Effect(
 )
 
 
-EFFECTS = (PLATE_BOW, PLATE_SADDLE, PLATE_TREFOIL)
-DELTA_EFFECTS = (PART_SIZE,)
+EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
+DELTA_EFFECTS = (PLATE_SADDLE, PART_SIZE)
 
 
 def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
