@@ -248,8 +248,8 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
         for word in ("measure distances between", "measure a level")
     )
     assert mesh.next_measurements[0].reason.endswith(first)
-    assert "it does not tell" not in first
-    assert f"it does not tell {plate} from {paths}, for that take distances" in level
+    assert "it does not separate" not in first
+    assert f"it does not separate {plate} from {paths}, for that take distances" in level
     assert told("mesh, distances")[1] == {lobes}
     left = told("mesh, level")[1]
     assert {lobes, "axis_tilt.tangential.common"} <= left
