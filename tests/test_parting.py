@@ -98,6 +98,8 @@ def test_places_of_a_delta_are_parted_by_what_one_may_own() -> None:
     rail, drive = (c.description for c in found.members)
     told = [s for s in verdict.next_measurements if "errors apart" in s.reason]
     assert len(told) > 1
-    assert all(f'it separates "{rail}" from "{drive}", by ' in s.reason and s.gain > 3 for s in told)
+    assert all(
+        f'it separates "{rail}" from "{drive}", by ' in s.reason and s.gain > 3 for s in told
+    )
     assert not any(s.hopeless for s in told)
     assert not [s for s in told if "plate" in s.reason]  # it may have any shape
