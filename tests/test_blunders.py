@@ -23,6 +23,7 @@ from orthoglide.explanation.data_faults import (
     report_faults,
     without_faults,
 )
+from orthoglide.explanation.fault_columns import FaultColumns, with_exact_size
 from orthoglide.explanation.faults import Fault, setups_of
 from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.identifying import identify
@@ -235,6 +236,13 @@ def test_a_wrong_command_at_zero_travel_is_solved_exactly():
     (blunder,) = close_loop([campaign_of(rows)]).blunders
     (command,) = re.findall(r"fit with rho_x = ([0-9.]+) mm where 330.25 is", blunder.message)
     assert float(command) == pytest.approx(310.25, abs=0.7)
+
+
+def test_a_wrong_command_beyond_reach_keeps_its_linear_size(machine):
+    problem = estimate_of(rows_of("standard"), machine).problem
+    fault = Fault("command", np.array([0, 1]), size=0.5, drive=0)
+    linear = FaultColumns(fault, np.ones((2, 1)), unit=1e-3, expected_count=1.0)
+    assert with_exact_size(problem, problem.start, fault, linear) is fault
 
 
 def test_a_wrong_command_is_told_as_the_controller_has_it(machine):

@@ -236,21 +236,21 @@ def test_larger_noise_that_can_have_no_weight_is_left_out(monkeypatch: pytest.Mo
 
 
 def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    columns = np.random.default_rng(11).standard_normal((3, 20, 6))
-    columns[1, :, 5] = columns[1, :, 4]
-    left, singular = left_singular(columns)
+    several = np.random.default_rng(11).standard_normal((3, 20, 6))
+    several[1, :, 5] = several[1, :, 4]
+    found = [left_singular(columns) for columns in several]
 
     def fails(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(np.linalg, "svd", fails)
-    other, same = left_singular(columns)
-    assert same == pytest.approx(singular, abs=1e-6)
-    shown, again = ((u * s[:, None]) @ u.transpose(0, 2, 1) for u, s in
-                    ((left, singular), (other, same)))  # fmt: skip
-    assert again == pytest.approx(shown, abs=1e-9)
-    wide = left_singular(columns.transpose(0, 2, 1))[1]
-    assert wide == pytest.approx(singular, abs=1e-6)
+    for columns, (left, singular) in zip(several, found, strict=True):
+        other, same = left_singular(columns)
+        assert same == pytest.approx(singular, abs=1e-6)
+        shown, again = ((u * s) @ u.T for u, s in ((left, singular), (other, same)))
+        assert again == pytest.approx(shown, abs=1e-9)
+        wide = left_singular(columns.T)[1]
+        assert wide == pytest.approx(singular, abs=1e-6)
 
 
 @pytest.mark.parametrize("exact", [1.0, 1e4])

@@ -111,7 +111,7 @@ def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Arr
     """
     x, y = position.T
     radius_squared = x**2 + y**2
-    quadratics = (x**2 - y**2, 2 * x * y)
+    quadratics = [saddle(x, y) for saddle in PLATE_SADDLE.shapes.values()]
     by_degree = {
         2: quadratics,
         3: (x * (3 * radius_squared - 2), y * (3 * radius_squared - 2)),

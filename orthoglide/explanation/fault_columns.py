@@ -10,9 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
 
+from orthoglide.errors import ClosureError
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.faults import (
     Fault,
@@ -316,10 +317,11 @@ def command_derivatives(
 
 
 def with_exact_size(problem: Problem, x: Array, fault: Fault, linear: FaultColumns) -> Fault:
-    """Return a wrong command with the size that changes its readings as the linear model says.
+    """Return a wrong command with the size that changes its readings as the linear model says;
+    unchanged, if the machine does not reach it.
 
-    Millimetres are far from linear, most of all at zero travel, where a command moves the dials on
-    its own leg to second order only.
+    Millimetres are far from linear: at zero travel a command moves the dials on its own leg to
+    second order only.
 
     Args:
         problem: the readings, with the command as written.
@@ -328,20 +330,20 @@ def with_exact_size(problem: Problem, x: Array, fault: Fault, linear: FaultColum
         linear: its columns in that model.
     """
     change = linear.columns[:, 0] * fault.size / linear.unit
-    k, rows = factors_and_rows(problem, fault.rows)[0][0], fault.rows
-    values, model = problem.values(k, x), problem.machine.model
-    start = problem.factor_rows[k].start
+    k, _ = factors_and_rows(problem, fault.rows)[0]
+    rows, values = fault.rows - problem.factor_rows[k].start, problem.values(k, x)
 
     def predicted(size: float) -> Array:
         corrected = with_faults_corrected(problem, [replace(fault, size=size)])
-        return model.readings(values, corrected.campaigns[k].subset(rows - start))
+        return problem.machine.model.readings(values, corrected.campaigns[k].subset(rows))
 
-    written = predicted(0.0)
-    found = minimize_scalar(
-        lambda size: np.sum((predicted(size) - written - change) ** 2) / _COMMAND_UNIT**2,
-        bracket=(fault.size, 1.1 * fault.size),
-    )
-    return replace(fault, size=float(found.x))
+    wanted = predicted(0.0) + change
+    try:
+        found = least_squares(lambda size: predicted(size[0]) - wanted, fault.size, xtol=1e-12,
+                              ftol=1e-12, gtol=None, x_scale=_COMMAND_UNIT)  # fmt: skip
+    except ClosureError:  # the linear size is not reached
+        return fault
+    return replace(fault, size=float(found.x[0])) if found.success else fault
 
 
 def _wrong_commands(

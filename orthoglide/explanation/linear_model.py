@@ -379,7 +379,7 @@ def marginal_covariances(
 
 
 def left_singular(columns: Array) -> tuple[Array, Array]:
-    """Return left singular vectors ``(k, m, q)`` and singular values ``(k, q)`` of columns.
+    """Return left singular vectors ``(m, q)`` and singular values ``(q,)`` of columns.
 
     LAPACK's divide and conquer fails to converge for some regular matrices. Then its slower
     algorithm is used.
@@ -387,8 +387,7 @@ def left_singular(columns: Array) -> tuple[Array, Array]:
     try:
         left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     except np.linalg.LinAlgError:
-        found = [svd(one, full_matrices=False, lapack_driver="gesvd") for one in columns]
-        left, singular = (np.stack(parts) for parts in list(zip(*found, strict=True))[:2])
+        left, singular, _ = svd(columns, full_matrices=False, lapack_driver="gesvd")
     return left, singular
 
 

@@ -67,7 +67,7 @@ def likeliest_misreading(
     """
     best: tuple[float, Fault | None]
     best = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN, None
-    least = best[0] - posterior.evidence - _MISREADING_MARGIN
+    least = max(other_evidence - posterior.evidence, 0.0)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
     ):

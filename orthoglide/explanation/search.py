@@ -366,7 +366,7 @@ class Search:
         columns = scale.some_group_columns(active) * taus
         if not state:
             return columns, taus
-        (left,), (singular,) = left_singular(columns[None])
+        left, singular = left_singular(columns)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
 
 
