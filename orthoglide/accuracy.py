@@ -87,11 +87,6 @@ class TcpMap:
     sigma: Array  # standard deviation of every coordinate (g, 3), best translation removed
 
     @property
-    def error(self) -> Array:
-        """Distance of the calibrated TCP from the nominal ``(g,)``, best translation removed."""
-        return np.linalg.norm(without_translation(self.p - self.nominal), axis=1)
-
-    @property
     def uncertainty(self) -> Array:
         """95 % radius from the standard deviations of all coordinates ``(g,)``."""
         return 1.96 * np.linalg.norm(self.sigma, axis=1)

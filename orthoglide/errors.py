@@ -113,6 +113,12 @@ def check_choice(noun: str, value: object, choices: Iterable[str]) -> None:
         raise InputError(f"there is no {noun} {value!r}: it is one of {', '.join(choices)}")
 
 
+def check_type(noun: str, value: Any, kind: type | tuple[type, ...], expected: str) -> None:
+    """Raise an `InputError`, which says what is expected, for a value of another type."""
+    if not isinstance(value, kind):
+        raise InputError(f"{noun} must be {expected}, not a {type(value).__name__}")
+
+
 def check_list(noun: str, value: object) -> None:
     """Raise an `InputError` unless a value is a list of names; a text would be read by letters."""
     if isinstance(value, str):
@@ -127,8 +133,7 @@ def as_path(path: str | PathLike[str]) -> Path:
     Raises:
         InputError: for any other type; the system takes a number for an open file.
     """
-    if not isinstance(path, str | PathLike):
-        raise InputError(f"a {type(path).__name__} is no path: give the name of a file or folder")
+    check_type("a path", path, (str, PathLike), "the name of a file or folder")
     return Path(path)
 
 
@@ -139,12 +144,9 @@ def check_integer(noun: str, value: object, minimum: int) -> int:
     return int(value)
 
 
-def check_mapping(noun: str, mapping: object) -> None:
+def check_mapping(noun: str, mapping: Any) -> None:
     """Raise an `InputError` unless a value is a mapping from names to numbers."""
-    if not isinstance(mapping, Mapping):
-        raise InputError(
-            f"{noun} go by name: give {{NAME: NUMBER}}, not a {type(mapping).__name__}"
-        )
+    check_type(noun, mapping, Mapping, "numbers by name, {NAME: NUMBER}")
     for name, value in mapping.items():
         if not isinstance(value, Real):
             raise InputError(f"{name} must be a number, not {value!r}")

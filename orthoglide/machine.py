@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
-from orthoglide.errors import ClosureError, InputError, UnreachableError, as_path
+from orthoglide.errors import ClosureError, InputError, UnreachableError, as_path, check_type
 from orthoglide.files import write_file
 from orthoglide.geometry import Array, Geometry, Pose, vectors
 from orthoglide.machine_file import (
@@ -43,11 +43,8 @@ class Machine:
     spec: MachineFile = field(default_factory=MachineFile)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.spec, MachineFile):
-            raise InputError(
-                f"a {type(self.spec).__name__} is no machine file: give MachineFile(geometry=...), "
-                f"or a path to Machine.load"
-            )
+        expected = "a MachineFile, such as MachineFile(geometry=...), or a path to Machine.load"
+        check_type("the content of a machine", self.spec, MachineFile, expected)
 
     def __repr__(self) -> str:
         names = list(self.spec.parameters)
@@ -198,7 +195,7 @@ class Machine:
         """
         for name in posterior.names:
             if name not in self.catalogue.motions:
-                raise InputError(f"the covariance names {name!r}, which is no single parameter")
+                raise InputError(f"a covariance must be of single parameters, not of {name!r}")
         return self._with_entries({}, values, posterior.sigmas, posterior.recentred(values))
 
     def with_provenance(self, provenance: Mapping[str, Any]) -> Machine:

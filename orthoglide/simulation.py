@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from orthoglide.accuracy import wanted_points
-from orthoglide.errors import ClosureError, InputError, check_integer
+from orthoglide.errors import ClosureError, check_integer, check_type
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import check_noise, instrument_of
 from orthoglide.geometry import Array
@@ -20,7 +20,7 @@ from orthoglide.observations import Readings, from_points, protocol, split_legs_
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.prediction import MeasurementModel, ReadingPoses
 
-__all__ = ["TCP_POINTS", "invisible_parameters", "missing_conditions", "simulate", "simulate_tcp"]
+__all__ = ["TCP_POINTS", "invisible_parameters", "simulate", "simulate_tcp"]
 
 TCP_POINTS = 60
 """Points over the workspace that are enough to judge a calibration by."""
@@ -63,11 +63,7 @@ def simulate(
     machine = Machine.of(machine)
     if isinstance(sheet, str):
         sheet = protocol(sheet, machine.geometry)
-    if not isinstance(sheet, Readings):
-        raise InputError(
-            f"a {type(sheet).__name__} is no sheet: give one campaign, readings of the tool, or a "
-            f"kind of protocol"
-        )
+    check_type("the sheet", sheet, Readings, "one table of readings, or a kind of protocol")
     generator = _random_generator(seed)
     sd = None if noise is None else check_noise(noise, 0.0)
     rng = None if exact else generator
@@ -176,32 +172,31 @@ def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed 
     return from_points(rho, p, legs=geometry.layout.names)
 
 
-def missing_conditions(needs: Collection[str]) -> str:
-    """Return the reason why an effect cannot show, by the conditions that it needs, as a clause."""
+def varied_conditions(machine: Machine, sheet: Readings) -> set[str]:
+    """Return the conditions of effects that a sheet varies, or that the machine file states."""
+    time, warming = np.nan_to_num(sheet.time), np.nan_to_num(sheet.temperature_rise)
+    columns = {"load": sheet.load, "time": time, "temperature": warming}
+    stated = {"approach"} | (set() if machine.spec.screw_pitch is None else {"pitch"})
+    return stated | {name for name, values in columns.items() if values.any()}
+
+
+def invisible_parameters(machine: Machine, sheet: Readings) -> dict[str, str]:
+    """Return the parameters of a machine that change no reading of a sheet, each with the reason as
+    a clause.
+    """
+    varied, reasons = varied_conditions(machine, sheet), dict[str, str]()
+    for name, value in machine.values.items():
+        missing = machine.catalogue.effect_of(name).needs - varied
+        if value and missing:
+            reasons[name] = _missing_conditions(missing)
+    return reasons
+
+
+def _missing_conditions(needs: Collection[str]) -> str:
     if "pitch" in needs:
         return "the machine file gives no screw_pitch_mm"
     columns = [_CONDITION_COLUMNS[n] for n in sorted(needs) if n in _CONDITION_COLUMNS]
     return f"the sheet does not vary {' and '.join(columns)}"
-
-
-def varied_conditions(machine: Machine, *sheets: Readings) -> set[str]:
-    """Return the conditions of effects that sheets vary, or that the machine file states."""
-    conditions = {"approach"} | (set() if machine.spec.screw_pitch is None else {"pitch"})
-    for sheet in sheets:
-        time, warming = np.nan_to_num(sheet.time), np.nan_to_num(sheet.temperature_rise)
-        columns = {"load": sheet.load, "time": time, "temperature": warming}
-        conditions |= {name for name, values in columns.items() if values.any()}
-    return conditions
-
-
-def invisible_parameters(machine: Machine, *sheets: Readings) -> dict[str, str]:
-    """Return the parameters of a machine that change no reading of sheets, each with the reason."""
-    conditions, reasons = varied_conditions(machine, *sheets), dict[str, str]()
-    for name, value in machine.values.items():
-        missing = machine.catalogue.effect_of(name).needs - conditions
-        if value and missing:
-            reasons[name] = missing_conditions(missing)
-    return reasons
 
 
 @contextmanager

@@ -23,10 +23,6 @@ from orthoglide.prediction import Conditions, Model
 _KEY_FRAMES, _FRAMES_PER_SECOND = 5, 8  # key frames from the middle to the end of a motion
 _NOMINAL_COLOUR = [0.45, 0.5, 0.55, 0.3]  # red, green, blue, opacity of the nominal machine
 _EYE_DISTANCE = 0.85  # in diagonals of the machine, which then fits meshcat's 75 degrees
-_NARROW_SCREEN_SCRIPT = (
-    "<script>viewer.camera.zoom = Math.min(1, innerWidth / innerHeight); "
-    "viewer.camera.updateProjectionMatrix();</script>"
-)
 _CONTENT_SECURITY_POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
     "connect-src data:; img-src data: blob:"
@@ -200,7 +196,7 @@ def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
         raise InputError("meshcat writes another page than 0.3 does: pip install 'meshcat<0.4'")
     page = page.replace("<title>MeshCat</title>", head, 1)
     before, body, after = page.rpartition("</body>")
-    return f"{before}{foot}{_NARROW_SCREEN_SCRIPT}{body}{after}\n"
+    return f"{before}{foot}{body}{after}\n"
 
 
 def _caption(machine: MagnifiedMachine) -> str:

@@ -417,7 +417,7 @@ def test_simulate_writes_both_files_or_none(here: Path) -> None:
 def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
     result = run("design", "--count", "100000")
     assert result.exit_code == 2
-    assert "readings to choose from: give --count" in result.stderr
+    assert "ask for 2 readings" in result.stderr
 
 
 def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -231,16 +231,12 @@ def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
     assert set(tree(ran / "out")) >= FILES | {"figures/workspace.svg"}
 
 
-def test_rerun_needs_no_files_and_says_which_have_changed(identified: Path) -> None:
-    sheet = identified / "rig-2.csv"
-    sheet.write_text(sheet.read_text().replace("8.19", "9.19"))
-    (identified / "machine.toml").unlink()
+def test_rerun_needs_no_files(identified: Path) -> None:
+    for name in ("rig-2.csv", "machine.toml"):
+        (identified / name).unlink()
     before = tree(identified)
-    shown = run("rerun", "out/result.json")
-    assert shown.exit_code == 0
+    assert "The same numbers again" in done("rerun", "out/result.json")
     assert tree(identified) == before
-    assert shown.stderr.splitlines()[-1] == "warning: rig-2.csv has changed since the run"
-    assert "The same numbers again" in shown.stdout
 
 
 def change(path: Path, edit: Any) -> None:
@@ -282,7 +278,7 @@ BROKEN: dict[str, tuple[str, str]] = {
     "nothing": ("", "give a file with content"),
     "another file": ('{"a": 1}', "has no 'schema'"),
     "arguments of none": ('{"schema": 1, "arguments": 5}', "has no 'version'"),
-    "a number without end": (f'{{"schema": {"1" * 5000}}}', "is no result"),
+    "a number without end": (f'{{"schema": {"1" * 5000}}}', "must be the result.json"),
     "points": ('{"schema": 1, "arguments": {"fit_tcp": "a.csv"}}', "has no 'version'"),
 }
 
@@ -317,15 +313,15 @@ def test_rerun_of_a_spoilt_result(identified: Path) -> None:
     assert "inputs has no campaign" in spoilt("inputs", [])
     one = whole["inputs"][0]
     for key, value, words in (
-        ("file", "..", "is no name of a file"),
-        ("file", "a/b.csv", "is no name of a file"),
-        ("file", "a" * 300, "is no name of a file"),
-        ("rows", [5, *one["rows"][1:]], "is no object"),
+        ("file", "..", "expected the name of a file"),
+        ("file", "a/b.csv", "expected the name of a file"),
+        ("file", "a" * 300, "expected the name of a file"),
+        ("rows", [5, *one["rows"][1:]], "expected object"),
         ("rows", [], "has no rows"),
         ("lines", [2, 3], "line numbers that do not match them"),
         ("lines", [10**9 + k for k in range(len(one["rows"]))], "line numbers that do not match"),
-        ("lines", ["2"], "is no int"),
-        ("role", "judge", "is no campaign or fit_tcp"),
+        ("lines", ["2"], "expected int"),
+        ("role", "judge", "expected campaign or fit_tcp"),
     ):
         assert words in spoilt("inputs", [{**one, key: value}])
 

@@ -238,7 +238,7 @@ def test_a_word_that_is_no_machine_file_is_named(here: Path) -> None:
     for given in (("export", "planted"), ("compensate", "path.csv", "planted")):
         result = run(*given)
         assert result.exit_code == 2
-        assert "'planted' is no machine file" in result.stderr
+        assert "found 'planted'" in result.stderr
 
 
 @pytest.mark.parametrize(

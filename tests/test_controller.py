@@ -241,7 +241,7 @@ def test_a_covariance_replaces_independence() -> None:
     assert "independent" in str(compensate(seen, circle(4)))
     with pytest.raises(InputError, match="rows and columns"):
         Posterior(tuple(names), np.zeros(3), np.eye(2))
-    with pytest.raises(InputError, match="no single parameter"):
+    with pytest.raises(InputError, match="must be of single parameters"):
         seen.with_posterior({}, Posterior(("axis_tilt.common",), np.zeros(1), np.eye(1)))
 
 

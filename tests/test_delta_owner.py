@@ -16,7 +16,6 @@ from benchmarks.delta_truth import machine as nominal
 from orthoglide.cli import cli
 from orthoglide.errors import InputError
 from orthoglide.machine import Machine
-from orthoglide.planning.sheets import choose_from_sheets, instrument_sheet, whitened_rows
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
@@ -118,26 +117,6 @@ def test_absurd_rods_are_told_whatever_is_asked(tmp_path: Path) -> None:
     run("import", "klipper", DATA / "v400-april.cfg", "--out", folder)
     for command in (("forward", 0, 0, 0), ("inverse", 0, 0, 1)):
         assert run(*command, "--machine", folder / "machine.toml").startswith("warning: The arms")
-
-
-def test_readings_chosen_together_tell_more_than_drawn_ones(imported: Path) -> None:
-    machine = Machine.load(imported / "machine.toml")
-    sheets = [instrument_sheet(machine, kind) for kind in ("plate", "distance", "incline")]
-    rows, shared, prior = whitened_rows(machine, sheets)
-
-    def told(kept: object) -> float:
-        """Log determinant of all parameters, what belongs to setups projected out."""
-        both = np.diag(prior) + rows[kept].T @ rows[kept]
-        return float(np.linalg.slogdet(both)[1] - np.linalg.slogdet(both[shared:, shared:])[1])
-
-    chosen = choose_from_sheets(machine, sheets, 24)
-    names = [(s.name, p, a) for s in sheets for p, a in zip(s.posture, s.axis, strict=True)]
-    kept = [names.index((s.name, p, a)) for s in chosen
-            for p, a in zip(s.posture, s.axis, strict=True)]  # fmt: skip
-    assert len(set(kept)) == 24
-    drawn = np.random.default_rng(0)
-    others = [told(drawn.permutation(len(rows))[:24]) for _ in range(200)]
-    assert told(kept) > max(others) + 5
 
 
 @pytest.fixture(scope="module")

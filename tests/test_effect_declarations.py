@@ -155,7 +155,7 @@ def test_mistakes_are_refused() -> None:
     with pytest.raises(InputError, match="above 0"):
         Effect("play", MM, 0.0, "", "", "")
     wrong = Effect("play", MM, 1.0, "", "", "", members=once(Motion("nowhere", lambda _: 1.0)))
-    with pytest.raises(InputError, match="no virtual joint"):
+    with pytest.raises(InputError, match="must move a virtual joint"):
         og.Machine.nominal().with_effects([wrong]).with_parameters({"play.x": 1e-3}).forward(
             [0.31, 0.31, 0.31]
         )

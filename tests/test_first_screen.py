@@ -106,8 +106,8 @@ READ = {
     "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
     "plate_saddle": rf"plate of (?P<leg>\w+) is a saddle: its rim stands {SIZE} high toward "
     rf"(?P<way>\d+) degrees",
-    "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high, one of them toward "
-    rf"(?P<way>\d+) degrees",
+    "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high at its rim, "
+    r"one of them toward (?P<way>\d+) degrees",
 }
 # Of an effect that declares no words: its sentence, its side and a sign.
 PLAIN = rf"(?:on leg|in setup) (?P<leg>\w+) .*?(?P<way>(?:{TOWARD}, )?by [+−]?){SIZE}"

@@ -216,9 +216,9 @@ def test_missing_files_are_named(missing: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "phrase"),
     [
-        ('"x_tcp"', '"x_nose"', "no two frames of"),
+        ('"x_tcp"', '"x_nose"', "must name two frames of"),
         ('"point"', '"line"', "point"),
-        ("[[closure]]", "[[closure]", "no TOML"),
+        ("[[closure]]", "[[closure]", "must be TOML"),
     ],
 )
 def test_closures_that_cannot_be_meant_are_refused(

@@ -192,7 +192,7 @@ def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
 BROKEN = {
     "no printer": ("[printer]", "[prnter]", "no section [printer]"),
     "cartesian": ("kinematics: delta", "kinematics: cartesian", "not 'delta'"),
-    "a word for a number": ("angle = 210.211440", "angle = north", "which is no number"),
+    "a word for a number": ("angle = 210.211440", "angle = north", "must be a number, not 'north'"),
     "no section": ("[", "> [", "none of the sections of a printer.cfg"),
     "a unit": ("delta_radius = 162.820595", "delta_radius = 162.820595 mm", "and no unit"),
     "a broken header": ("[stepper_b]", "[stepper_b", "has no section [stepper_b]"),
@@ -231,7 +231,7 @@ def test_a_stored_header_without_its_brackets_is_named(broken: str, tmp_path: Pa
             said = str(error)
         at = f"printer.cfg, line {before.count(chr(10)) + 1}: '{broken.format(name)}'"
         assert at in said, said
-        assert f"write [{name}]" in said
+        assert f"must be [{name}]" in said
 
 
 @pytest.mark.parametrize(
@@ -345,7 +345,7 @@ def test_a_key_that_may_be_missing_is_left_out(section: str, tmp_path: Path) -> 
     lines = re.sub(rf"(?m)^{key}.*\n", "", V400.read_text())
     found = imported(tmp_path, f"[{section}]\n{key}: {value}\n{lines}")
     assert len(found.campaigns) == 3
-    (note,) = (n for n in found.notes if f"line 2: [{section}] {key} is" in n)
+    (note,) = (n for n in found.notes if f"line 2: [{section}] {key} " in n)
     assert note.endswith("; 0 is taken")
 
 

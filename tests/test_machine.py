@@ -156,5 +156,5 @@ def test_what_several_members_say_of_one_parameter_is_added() -> None:
 def test_a_machine_of_other_dimensions() -> None:
     found = Machine.of(Geometry(0.25, 0.06, 0.02))
     assert (found.geometry.L, found.tolerance("joint_offset")) == (0.25, 2e-3)
-    with pytest.raises(InputError, match="a Geometry is no machine file"):
+    with pytest.raises(InputError, match=r"must be a MachineFile, .* not a Geometry"):
         Machine(Geometry(0.25, 0.06, 0.02))  # type: ignore[arg-type]

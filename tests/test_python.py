@@ -169,7 +169,7 @@ def test_what_a_verdict_holds_is_shown_in_a_few_lines(
     assert repr(catalogue["backlash"]).startswith("<Effect backlash: ")
     for held in (
         verdict.effects, verdict.located, verdict.changed, verdict.budget[0],
-        verdict.readings, verdict.workspace, verdict.map, verdict.picture, catalogue,
+        verdict.readings, verdict.workspace, verdict.picture, catalogue,
         verdict.machine.posterior, closed.effects, closed.posterior, closed.before.problem,
         closed.after.nuisance,
     ):  # fmt: skip

@@ -59,7 +59,11 @@ def fit(given: Any = DIALS, **options: Any) -> og.Estimate:
     ("own", lambda: fit(own="joint_offset"), "own is a list of names"),
     ("free of a design", lambda: og.design(WORN, 3), "free is a list of names, such as"),  # type: ignore[arg-type]
     ("free of nothing", lambda: og.design(WORN, [None]), r"not \[None\]"),  # type: ignore[list-item]
-    ("what was fitted", lambda: og.next_measurements(DIALS), "a Readings is no estimate"),  # type: ignore[arg-type]
+    (
+        "what was fitted",
+        lambda: og.next_measurements(DIALS),
+        "must be an Estimate",
+    ),  # type: ignore[arg-type]
     ("effects", lambda: og.smallest_effects(WORN, DIALS, names=["foo"]), "no effect 'foo': the"),
     ("an effect", lambda: og.smallest_effects(WORN, DIALS, names="axis_tilt"), "names is a list"),
     ("designed", lambda: og.design(WORN, free="leg_length"), "free is a list of names"),
@@ -88,46 +92,50 @@ def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
     ("commands", lambda: WORN.forward(["a", "b", "c"]), "rho must be numbers"),
     ("ragged commands", lambda: WORN.forward([[1, 2, 3], [1]]), "rho must be numbers"),
     ("a goal", lambda: WORN.inverse("abc"), "p must be numbers"),
-    ("no parameters", lambda: WORN.with_parameters(None), "give {NAME: NUMBER}, not a NoneType"),
-    ("pairs", lambda: WORN.with_parameters([("joint_offset.x", 0.0)]), "go by name"),
+    ("no parameters", lambda: WORN.with_parameters(None), "{NAME: NUMBER}, not a NoneType"),
+    ("pairs", lambda: WORN.with_parameters([("joint_offset.x", 0.0)]), "must be numbers by name"),
     ("only", lambda: WORN.with_only({"joint_offset.x": "1"}), "joint_offset.x must be a number"),
-    ("sigmas", lambda: WORN.with_parameters({}, [1.0]), "standard deviations go by name"),
+    ("sigmas", lambda: WORN.with_parameters({}, [1.0]), "deviations must be numbers"),
     ("two radii", lambda: og.LinearDelta(radius=(0.1, 0.1)), "radius must be three finite numbers"),
     ("a tool", lambda: og.LinearDelta(radius=0.1, tool="a"), "tool must be numbers"),
     ("a leg", lambda: og.FreeLeg("one", (0, 0), (1, 0, 0), (0, 1, 0)), "leg one: origin must be t"),
     ("common", lambda: og.FreeLeg("common", (0, 0, 0), (1, 0, 0), (0, 1, 0)), "another name"),
     ("stroke", lambda: og.Geometry(stroke=(-0.1, 0.0, 0.1)), "the stroke's two limits"),
     ("a length", lambda: og.Geometry(L="0.3"), "L must be a positive length, not '0.3'"),
-    ("protocol", lambda: og.protocol("sweep", WORN), "give machine.geometry"),
+    ("protocol", lambda: og.protocol("sweep", WORN), "a Geometry, as machine.geometry is"),
     ("noise", lambda: fit(noise="0.005"), "standard deviation in metres, .* not '0.005'"),
     ("path", lambda: og.compensate(WORN, [["a", 0, 0]]), "a path must be numbers"),
     ("load", lambda: og.compensate(WORN, [[0, 0, 0]], load="a"), "load must be numbers"),
     ("two starts", lambda: og.compensate(WORN, [[0, 0, 0]], start=np.zeros((2, 3))), "start must"),
     ("start", lambda: og.compensate(WORN, [[0, 0, 0]], start="a"), "start must be numbers"),
-    ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "give a Machine, the path of its"),
+    ("no machine", lambda: og.compensate(3, [[0, 0, 0]]), "must be a Machine, the path of its"),
     ("no seed", lambda: og.simulate(WORN, seed=None), "seed must be 0 or more and whole, not None"),
     ("half a seed", lambda: og.close_loop(DIALS, seed=1.5), "seed must be 0 or more and whole"),
     ("negative seed", lambda: og.close_loop(DIALS, seed=-1), "seed must be 0 or more"),
-    ("sheets", lambda: og.simulate(WORN, [DIALS]), "a list is no sheet: give one campaign"),
+    ("sheets", lambda: og.simulate(WORN, [DIALS]), "must be one table of readings, .* not a list"),
     ("no points", lambda: og.simulate_tcp(WORN, -1), "count must be 1 or more"),
-    ("no file", lambda: og.Machine.load(None), "a NoneType is no path"),
-    ("a handle", lambda: og.read_campaign(3), "a int is no path"),
-    ("no place", lambda: WORN.save(None), "a NoneType is no path"),
-    ("no folder", lambda: closed().report(None), "a NoneType is no path"),
+    ("no file", lambda: og.Machine.load(None), "the name of a file or folder, not a NoneType"),
+    ("a handle", lambda: og.read_campaign(3), "the name of a file or folder, not a int"),
+    ("no place", lambda: WORN.save(None), "the name of a file or folder, not a NoneType"),
+    ("no folder", lambda: closed().report(None), "the name of a file or folder, not a NoneType"),
 )  # fmt: skip
 def test_what_is_of_another_type(call: Callable[[], Any], words: str) -> None:
     refused(call, words)
 
 
 @cases(
-    ("identified", lambda: fit(FRAME), "dict holds no readings: .* og.Campaign.from_frame makes"),
+    (
+        "identified",
+        lambda: fit(FRAME),
+        "a campaign, which og.Campaign.from_frame makes of a data frame",
+    ),
     ("closed", lambda: og.close_loop(FRAME), "og.Campaign.from_frame"),
     ("checked", lambda: og.check(DIALS, FRAME), "og.Campaign.from_frame"),
     ("rows", lambda: og.Campaign.from_frame([{"leg": "x"}]), "a list: give a data frame, or a map"),
     ("none", lambda: og.Campaign.from_frame(None), "a NoneType: give a data frame"),
     ("a path", lambda: og.Campaign.from_frame("a.csv"), "a str: give a data frame"),
     ("points", lambda: og.Campaign.from_frame(POINTS), "a Readings: give a data frame"),
-    ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "a column that is no list"),
+    ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "a column that must be a list"),
 )
 def test_frames(call: Callable[[], Any], words: str) -> None:
     refused(call, words)
@@ -138,7 +146,7 @@ def test_a_column_twice_is_said_as_of_a_file() -> None:
     df = DIALS.to_frame()
     twice = pd.concat([df, df[["leg"]]], axis=1)
     refused(lambda: og.Campaign.from_frame(twice), "names column 'leg' twice: remove one")
-    refused(lambda: fit(df), "a DataFrame holds no readings: .* og.Campaign.from_frame")
+    refused(lambda: fit(df), "a campaign, which og.Campaign.from_frame makes")
 
 
 def test_one_effect_is_a_list_of_one() -> None:
@@ -233,8 +241,8 @@ def points(**changed: Any) -> og.Readings:
     ("nothing", lambda: DIALS.subset([]), "standard: has no readings"),
     ("sigma in mm", lambda: with_one("sigma", 5e-3), "row 3 .*sigma is 0.005: .*in metres from"),
     ("negative sigma", lambda: with_one("sigma", -5e-6), "row 3 .*sigma is -5e-06"),
-    ("no campaign", lambda: None, "a NoneType holds no readings"),
-    ("an array", lambda: np.zeros(3), "a float64 holds no readings"),
+    ("no campaign", lambda: None, "not a NoneType"),
+    ("an array", lambda: np.zeros(3), "not a float64"),
     ("points in mm", lambda: IN_MM, "give a thousandth of each"),
     ("points' sigma", lambda: with_one("sigma", 0.01, POINTS), "points, row 3 .*sigma is 0.01"),
     ("points' number", lambda: points(p=AT.p[:10]), "as many commands as points, 10"),

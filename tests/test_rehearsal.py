@@ -28,7 +28,6 @@ from orthoglide.rehearsal.random_machines import (
     Scope,
     draw_machine,
 )
-from orthoglide.rehearsal.rehearsing import weak_spots
 from tests.klipper_files import DATA
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
@@ -102,22 +101,6 @@ def test_a_place_is_located_by_its_class(scope: Scope) -> None:
     assert judge_claims(verdict_of(("axis_tilt.x.y",)), one)[2] == ["axis_tilt.x.y"]
 
 
-# --- weak spots -----------------------------------------------------------------------------------
-
-
-def test_weak_spots_say_what_a_sheet_lacks(scope: Scope) -> None:
-    text = "\n".join(weak_spots(scope))
-    assert re.search("does not vary .*temperature_C.*: .*thermal_growth", text)
-    assert re.search("does not vary .*load_N.*: .*drive_compliance", text)
-    assert "screw_error" not in text  # the machine file has the pitch, and it is found and named
-    (sheet,) = scope.sheets
-    one_sided = replace(sheet, approach=np.ones_like(sheet.approach))
-    blind = weak_spots(Scope.of(scope.machine, one_sided))
-    unseen = [row for row in blind if "backlash" in row and row.startswith("not ")]
-    assert unseen
-    assert not [row for row in text.splitlines() if "backlash" in row and row.startswith("not ")]
-
-
 # --- the run --------------------------------------------------------------------------------------
 
 
@@ -182,7 +165,7 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     tried = run_campaign(scope, 0, 0)
     assert tried.failed == "SolverError: it does not settle"
     assert not tried.missed
-    found = Rehearsal("mine", 36, 0, (tried,), ())
+    found = Rehearsal("mine", 36, 0, (tried,))
     assert found.columns["failed"][KINDS.index(EFFECT)] == 1
     assert "failed, SolverError: it does not settle" in str(found)
     assert Outcome.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
@@ -228,7 +211,6 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
     result = CliRunner().invoke(cli, line)
     assert result.exit_code == 0, result.output
     assert "what is wrong" in result.stdout
-    assert "Weak spots" in result.stdout
     assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
     assert CliRunner().invoke(cli, line).stdout == result.stdout  # nothing is left to do
     kept = tmp_path / "out" / "campaigns.jsonl"

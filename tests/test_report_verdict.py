@@ -149,7 +149,7 @@ def test_the_key_numbers_are_on_the_page(which: str) -> None:
         for rival in (*effect.same, *effect.rivals):
             assert rival.words[1:] in text
         assert CATALOGUE.effect_of(effect.name).look_at[1:] in text
-    for value in (verdict.map.error.mean(), verdict.map.uncertainty.max()):
+    for value in (verdict.workspace.nominal.mean(), verdict.workspace.sure.max()):
         assert any(f"{value * 1e3:.{places}f}" in text for places in (2, 3, 4))
     for blunder in verdict.blunders:
         assert blunder.message in text
@@ -380,7 +380,7 @@ def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
     kept = {p.relative_to(tmp_path / "out").as_posix() for p in (tmp_path / "out").rglob("*.*")}
     assert kept == set(files_of("faulty"))
     (tmp_path / "out" / "thesis.tex").write_text("dear")
-    with pytest.raises(FileError, match=r"thesis\.tex, which is no part of a report"):
+    with pytest.raises(FileError, match=r"alone, and holds thesis\.tex"):
         verdict.report(tmp_path / "out", overwrite=True)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
 

@@ -250,5 +250,5 @@ def test_readings_of_any_name_are_read_back(name: str, tmp_path: Path) -> None:
 def test_no_result_is_no_result(tmp_path: Path) -> None:
     with pytest.raises(og.FileError):
         og.Result.load(tmp_path)
-    with pytest.raises(og.InputError, match="is no path"):
+    with pytest.raises(og.InputError, match="name of a file or folder"):
         og.Result.load(None)  # type: ignore[arg-type]

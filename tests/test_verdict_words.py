@@ -10,10 +10,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing.actions import located_error_test
-from orthoglide.effects.free_form import Dependence, FreeForm, Part
+from orthoglide.effects.free_form import Dependence, FreeForm, Part, Session, free_forms
 from orthoglide.effects.kernels import Level
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
-from orthoglide.explanation.causes import CredibleSets
+from orthoglide.explanation.causes import CredibleSets, curve_of
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
 from orthoglide.report.sentences import headline
@@ -141,3 +141,12 @@ def test_lost_motion_of_a_place_comes_with_the_test_that_shows_it(
     assert "0.050 mm" in said
     silent = SimpleNamespace(place=replace(place, against="travel"), size_words="0.050 mm")
     assert located_error_test(cast(Curve, silent)) == ""
+
+
+def test_a_size_that_grows_with_the_travel_says_where_it_is_reached() -> None:
+    """The displacement by a scale is zero at mechanical zero, and most at the ends."""
+    form = next(f for f in free_forms(Session(0.0, 3600.0)) if f.part == "screw" and f.leg >= 0)
+    count = form.kernel.count
+    curve = curve_of(form, 0.9, (-0.1, 0.06), np.ones(count), np.eye(count))
+    assert curve.words.endswith(f"{curve.size_words} half a stroke from mechanical zero")
+    assert "mm half a stroke from mechanical zero (root" in curve.words_with_measure

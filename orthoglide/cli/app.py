@@ -60,8 +60,8 @@ class Command(click.Command):
         except click.MissingParameter:
             if extra := self.make_parser(ctx).parse_args(list(words))[1]:
                 raise InputError(
-                    f"{extra[0]!r} is no machine file, whose name ends in .toml: give one by "
-                    f"itself or with --machine"
+                    f"expected a machine file, whose name ends in .toml, found {extra[0]!r}: give "
+                    f"one by itself or with --machine"
                 ) from None
             raise
 

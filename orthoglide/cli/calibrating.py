@@ -305,11 +305,9 @@ def rerun(result: Path, effects_file: Path | None, out: Path | None, quiet: bool
         new = json.loads(result_text(verdict))
         try:
             sigmas, different = _allowed_sigmas(old, new), list(differences(old, new))
-            changed = list(_changed_files(old, file.parent))
         except EDITED_FILE_ERRORS as error:
             raise edited_file_error(error, str(file)) from None
         files = {} if out is None or different else report_files(verdict, step)
-    warn(tuple(f"{name} has changed since the run" for name in changed))
     if different:
         finding = "is not reproduced"
         if sigmas:
@@ -350,15 +348,3 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> Iterator[str]
         if not abs(old_value - new_value) <= limit:
             values = f"{compact(old_value, 6)} and is {compact(new_value, 6)}"
             yield f"{name} was {values} {before[name]['unit']}"
-
-
-def _changed_files(result: Mapping[str, Any], folder: Path) -> Iterator[str]:
-    """Yield the name of each input file that is found and whose content has changed."""
-    from orthoglide.files import read_bytes, sha256
-
-    digests = {i["file"]: i["sha256"] for i in (*result["inputs"], result["machine"])}
-    for name, digest in digests.items():
-        candidates = (folder / name, folder.parent / name) if name and digest else ()
-        file = next((path for path in candidates if path.is_file()), None)
-        if file is not None and sha256(read_bytes(file)) != digest:
-            yield name

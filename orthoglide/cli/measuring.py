@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from orthoglide.machine import Machine
     from orthoglide.observations import Readings
 
-_DESIGN_COUNT = 24  # readings of a design, as many as the published campaigns have
 _kind_option = click.option(
     "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
     help="standard: Zero, Max and Min; sweep: the stroke in steps, both ways; two-gauges: a sweep "
@@ -146,9 +145,9 @@ def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, max_readi
     """Ask for one reading after another at the machine, until the verdict is settled.
 
     Says where each dial stands and where to go, takes what is typed or sent to its standard input
-    (12.34, 12,34, 340 um; skip, undo, quit, ?), says at once when a reading cannot be or does not
-    agree with its repeats, and asks next for the readings that the verdict suggests. Every
-    reading is on the disk before the next question; the same command goes on where it was.
+    (12.34, 12,34, 340 um; skip, undo, quit, ?), asks for an impossible reading again, and goes on
+    with the readings that the verdict suggests. Every reading is on the disk before the next
+    question; the same command goes on where it was.
 
     The verdict is settled when no significant lack of fit is left and no suggested readings would
     separate two explanations by two standard deviations; that nothing is wrong is accepted only
@@ -198,12 +197,11 @@ def _ask(question: str) -> str:
 @opt.machine()
 @opt.out("Measuring sheet to write; for dials with a page to print.", "SHEET.csv")
 @opt.names("--free", "Effects or parameters to identify.  [default: joint offsets and leg lengths]")
-@click.option("--count", type=int, help="Readings to choose.  [default: 24; all with --owns]")
+@click.option("--count", default=24, show_default=True, help="Readings to choose.")
 @opt.pairs("--want", "Wanted accuracies, in the units of files, such as TCP=0.01: prints how often "
            "to repeat.", "NAME=SIGMA,...")  # fmt: skip
 @opt.names("--owns", f"Instruments that you have ({_INSTRUMENT_KINDS[0]}): prints "
-           "which effects they find and name together, and with --out writes a sheet; with "
-           "--count as many of the tool's readings, those that determine most.",
+           "which effects they find and name together, and with --out writes a sheet.",
            _INSTRUMENT_KINDS[1])  # fmt: skip
 @opt.flag("--detect", "Also print the smallest effects found and named.")
 @opt.noise()
@@ -211,7 +209,7 @@ def _ask(question: str) -> str:
 @opt.quiet
 def design(
     sheets: tuple[Path, ...], machine: opt.MachineOption, out: Path | None, free: tuple[str, ...],
-    count: int | None, want: opt.Pairs, owns: tuple[str, ...], detect: bool, noise: float | None,
+    count: int, want: opt.Pairs, owns: tuple[str, ...], detect: bool, noise: float | None,
     seed: int, quiet: bool,
 ) -> None:  # fmt: skip
     """Choose readings before any is taken, and compare protocols and sheets by what they see.
@@ -225,19 +223,14 @@ def design(
     from orthoglide import planning
 
     opt.exclude(
-        "owns", "sheets", "free", "want", "detect", "noise",
+        "owns", "sheets", "free", "count", "want", "detect", "noise",
         because="every instrument has a sheet and a noise of its own, and its smallest effects "
         "are printed anyway",
     )  # fmt: skip
     robot = machine.load()
     if owns:
-        _design_for_instruments(owns, robot, count, out, seed, quiet)
+        _design_for_instruments(owns, robot, out, seed, quiet)
         return
-    count = _DESIGN_COUNT if count is None else count
-    if count > (available := len(planning.reading_pool(robot.geometry))):
-        raise InputError(
-            f"there are {available} readings to choose from: give --count {available} or less"
-        )
     target_sigmas = opt.values_in_si("--want", want, robot.catalogue)
     with progress(quiet) as step:
         step(Step("computing", "choosing readings"))
@@ -282,16 +275,15 @@ def _sheets_to_compare(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str
 
 
 def _design_for_instruments(
-    owns: tuple[str, ...], machine: Machine, count: int | None, out: Path | None, seed: int,
-    quiet: bool,
-) -> None:  # fmt: skip
+    owns: tuple[str, ...], machine: Machine, out: Path | None, seed: int, quiet: bool
+) -> None:
     """Print the smallest effects that instruments detect, and write their sheet at the tool."""
     from orthoglide import planning
     from orthoglide.observations import campaign_text
 
     with progress(quiet) as step:
         step(Step("computing", "what the instruments would tell"))
-        owned_sheets = planning.sheets_by_kind(machine, owns, count)
+        owned_sheets = planning.sheets_by_kind(machine, owns)
         smallest = planning.smallest_effects(machine, list(owned_sheets.values()), seed=seed)
     instruments = ", ".join(
         f"{s.setups[0].observation.instrument_phrase} ({len(s)})" for s in owned_sheets.values()

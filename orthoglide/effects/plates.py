@@ -42,11 +42,12 @@ PLATE_TREFOIL = Effect(
     sentence="the plate has three high and three low sides",
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
     words=Words(
-        "the plate{of_setup} has three lobes {size} high, one of them toward {lobe} degrees",
+        "the plate{of_setup} has three lobes {size} high at its rim, one of them toward {lobe} "
+        "degrees",
         "the plate{of_setup} has three high and three low sides",
         "the plates have three high and three low sides",
         confirm="turn the plate{of_setup} by 60 degrees and measure again: expect its three lobes "
-        "of {size} to turn with it: low toward {lobe} degrees",
+        "of {size} at the rim to turn with it: low toward {lobe} degrees",
     ),
     group="plate",
     plate=(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -14,7 +13,7 @@ from orthoglide import files
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.bumps_and_jumps import with_free_forms
 from orthoglide.effects.catalogue import CUSTOM_EFFECTS_HINT
-from orthoglide.errors import InputError, as_path
+from orthoglide.errors import InputError, as_path, check_type
 from orthoglide.geometry import Geometry
 from orthoglide.layout import ORTHOGLIDE, FreeLegs, Layout
 from orthoglide.machine_file import schema
@@ -53,12 +52,9 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
         return read_machine_file(given)
     if isinstance(given, Geometry):
         return MachineFile(name=default_machine_name(given), geometry=given)
-    machine = MachineFile() if given is None else getattr(given, "spec", given)
-    if not isinstance(machine, MachineFile):
-        raise InputError(
-            f"a {type(given).__name__} is no machine: give a Machine, the path of its file, or a "
-            f"Geometry"
-        )
+    spec: Any = MachineFile() if given is None else getattr(given, "spec", given)
+    check_type("the machine", spec, MachineFile, "a Machine, the path of its file or a Geometry")
+    machine: MachineFile = spec
     return machine
 
 
@@ -242,8 +238,7 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
         InputError: if a machine file cannot hold the machine.
     """
     try:
-        tables = tomli_w.dumps(_toml_tables(machine))
-        text = _averaging_comment(machine) + tables + _parameter_lines(machine)
+        text = tomli_w.dumps(_toml_tables(machine)) + _parameter_lines(machine)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
@@ -280,21 +275,6 @@ def _toml_tables(machine: MachineFile) -> dict[str, Any]:
     written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
     top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
     return {"schema": SCHEMA_VERSION, **top, **written}
-
-
-def _averaging_comment(machine: MachineFile) -> str:
-    """Return a comment on values that are averages over alternatives; else empty."""
-    rivals = machine.provenance.get("averaged_over")
-    if not isinstance(rivals, list | tuple) or not rivals:
-        return ""
-    effects = machine.provenance.get("effects", ())
-    names = ", ".join(map(str, dict.fromkeys((*effects, *rivals))))
-    lines = textwrap.wrap(
-        f"Averages: the readings cannot tell {names} apart. The values below are the mean over "
-        f"these explanations, each weighed with its probability, and describe none of them alone.",
-        98,
-    )
-    return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
 def _parameter_lines(machine: MachineFile) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Literal
@@ -19,9 +19,9 @@ import numpy as np
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine import Machine
-from orthoglide.measuring.expected import ExpectedReadings
 from orthoglide.measuring.record import RETURN_POSTURE, SKIPPED_POSTURE, Record
 from orthoglide.observations import Moves, Readings
+from orthoglide.observations.checks import max_dial_span
 from orthoglide.observations.protocols import (
     labelled_postures,
     leg_dial_campaign,
@@ -67,7 +67,7 @@ def parse_answer(answer: str) -> Decimal | AnswerWord:
     number = _NUMBER.fullmatch(text)
     if number is None:
         raise InputError(
-            f"{abbreviated(text)!r} is no reading: type a number such as 12.34, or ? for help"
+            f"a reading must be a number such as 12.34, not {abbreviated(text)!r}; ? shows help"
         )
     in_mm = (number[2] or "mm").lower() == "mm"
     value = Decimal(number[1].replace(",", ".")).scaleb(0 if in_mm else -3)
@@ -170,12 +170,23 @@ class _Part:
 
     rows: list[Row]  # as the file has them, moves included
     first_row: int  # number of rows of all sheets before it
-    expected: ExpectedReadings  # readings of the sheet
+    sheet: Readings
 
     @property
     def end(self) -> int:
         """Number of rows up to the end of this sheet."""
         return self.first_row + len(self.rows)
+
+
+def _impossible_span(sheet: Readings, row: int, reading: float, taken: Mapping[int, float]) -> str:
+    """Return why a reading of a sheet's row, metres, is impossible after those taken, by row, in
+    the same mounting, a clause; empty if it is possible.
+    """
+    mounting = sheet.setup[row]
+    span = float(np.ptp([reading, *(v for k, v in taken.items() if sheet.setup[k] == mounting)]))
+    if span <= max_dial_span(sheet, mounting):
+        return ""
+    return f"the dial would have moved {span * 1e3:.1f} mm in this mounting, which no leg does"
 
 
 def _as_move(row: Row, posture: str) -> Row:
@@ -265,7 +276,7 @@ class Session:
                     file=printable_path(self.record.path),
                     line=int(row["order"]) + 2,
                 )
-        self._parts.append(_Part(rows, start, ExpectedReadings.of(sheet, self.machine)))
+        self._parts.append(_Part(rows, start, sheet))
 
     def _read_next(self, part: _Part, count: int) -> None:
         """Go to the place after ``count`` rows of a sheet and read it; `EOFError` for a stop."""
@@ -276,7 +287,7 @@ class Session:
             self._pass(planned)
             return
         if self._place is None and self.record.rows:
-            self._pass(self._way_back(part.expected.sheet, reading))
+            self._pass(self._way_back(part.sheet, reading))
         self._go(planned, "go to", f"posture {planned['posture']}")
         self._ask_reading(part, planned, reading)
 
@@ -285,7 +296,6 @@ class Session:
         answers = zip(part.rows, self._sheet_rows[part.first_row :], strict=False)
         cells = [row["reading_mm"] for sheet_row, row in answers if sheet_row["kind"] != "move"]
         taken = {k: float(cell) * 1e-3 for k, cell in enumerate(cells) if cell}
-        doubted = None
         while True:
             try:
                 answer = parse_answer(self.ask(f"{planned['setup']} shows: "))
@@ -305,18 +315,12 @@ class Session:
                     return
                 self.tell("  there is no reading to take back")
             else:
-                objection, possible = part.expected.objection(reading, float(answer) * 1e-3, taken)
-                if not objection or (possible and answer == doubted):
+                objection = _impossible_span(part.sheet, reading, float(answer) * 1e-3, taken)
+                if not objection:
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
                     self.record.append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
                     return
-                doubted = answer
-                judgement, remedy = (
-                    ("is implausible", "Type the same again to keep it, or the right number.")
-                    if possible
-                    else ("cannot be", "Type the number again.")
-                )
-                self.tell(f"  {answer:f} mm {judgement}: {objection}. {remedy}")
+                self.tell(f"  {answer:f} mm cannot be: {objection}. Type the number again.")
 
     def _announce_mounting(self, part: _Part, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""
@@ -325,7 +329,7 @@ class Session:
             return
         self._dials = names
         self.tell(f"\nMount {'dials' if len(names) > 1 else 'a dial'}: {' and '.join(names)}")
-        for dial in part.expected.sheet.setups:
+        for dial in part.sheet.setups:
             if dial.name in names:
                 remedy = "give all its numbers with the other sign"
                 words = "\n    ".join(dial_words(dial, self.machine, remedy))

@@ -201,7 +201,7 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
     for motor in files.motors:
         if not model.existJointName(motor) or model.joints[model.getJointId(motor)].nv != 1:
             raise FileError(
-                f"the closures drive {motor}, which is no joint of one degree of freedom",
+                f"the closures must drive joints of one degree of freedom, not {motor}",
                 file=printable_path(files.path),
             )
     return Tree.of_model(model, files.closures, files.motors, files.urdf)

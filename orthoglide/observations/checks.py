@@ -12,7 +12,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_type
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, TOOL_OBSERVATIONS
 from orthoglide.machine_file import MachineFile
@@ -302,6 +302,14 @@ def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         )
 
 
+def max_dial_span(campaign: Readings, index: int) -> float:
+    """Return the largest span of a setup's readings: the dial's range and the motion of the
+    command, metres.
+    """
+    motion = campaign.command[campaign.setup == index, campaign.setups[index].axis]
+    return DIAL_RANGE + float(np.ptp(motion))
+
+
 def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     size = np.nanmax(np.abs(campaign.reading), initial=0.0)
     if ZERO_READING < size < machine.dial.resolution:
@@ -315,10 +323,9 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         if not len(rows):
             continue
         reading = campaign.reading[rows]
-        limit = DIAL_RANGE + np.ptp(campaign.command[rows, setup.axis])
         datum = [] if setup.observation.from_datum else [0.0]  # else readings are absolute
         values = np.concatenate([reading, datum])
-        if np.ptp(values) > limit:
+        if np.ptp(values) > max_dial_span(campaign, index):
             row = rows[np.argmax(np.abs(reading - np.median(values)))]
             fail(
                 f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)} in setup "
@@ -343,11 +350,8 @@ def check_given(readings: Readings, machine: MachineFile) -> None:
         place = "" if row is None else f", row {row} (counted from 0)"
         raise InputError(f"{readings.name}{place}: {message} (arrays are in metres and radians)")
 
-    if not isinstance(readings, Readings):
-        raise InputError(
-            f"a {type(readings).__name__} holds no readings: give a campaign, which "
-            "og.Campaign.from_frame makes of a data frame, TCP points, or the path of a file"
-        )
+    expected = "a campaign, which og.Campaign.from_frame makes of a data frame, or a file's path"
+    check_type("the readings", readings, Readings, expected)
     if not len(readings):
         fail("has no readings: give some")
     check_commands(readings.command, False, machine, fail)

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from orthoglide.errors import InputError, check_choice
+from orthoglide.errors import InputError, check_choice, check_type
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import Parallelism, Setup
 from orthoglide.numerals import compact
@@ -58,8 +58,7 @@ def require_dial_layout(geometry: Geometry) -> None:
     Raises:
         InputError: naming the readings that it takes instead.
     """
-    if not isinstance(geometry, Geometry):
-        raise InputError(f"a {type(geometry).__name__} is no geometry: give machine.geometry")
+    check_type("the geometry", geometry, Geometry, "a Geometry, as machine.geometry is")
     if not geometry.dialled:
         raise InputError(
             f"dials are set against an Orthoglide's legs, and this machine's layout is "

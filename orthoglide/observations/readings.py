@@ -321,7 +321,7 @@ class Readings:
         """
         other = ~self.which(lambda s: s.observation.axes and not s.observation.on_leg)
         if (other | self.angular).any():
-            raise InputError(f"{self.name} holds readings that are no coordinates of the tool")
+            raise InputError(f"{self.name} must hold coordinates of the tool alone")
         point = group_ids(np.column_stack([self.setup, self.order]))
         first = np.unique(point, return_index=True)[1]
         p = np.full((len(first), 3), np.nan)

@@ -88,9 +88,7 @@ def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any 
 
     def read(cell: str) -> Any:
         if cell not in meanings:
-            raise ValueError(
-                remedy or f"which is none of {', '.join(meanings)}: write one of these"
-            )
+            raise ValueError(remedy or f"not one of {', '.join(meanings)}: correct it")
         return meanings[cell]
 
     return Kind(read, word_of.__getitem__, choices=choices)

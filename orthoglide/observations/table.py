@@ -121,7 +121,7 @@ def read_table(path: str | os.PathLike[str]) -> Table:
     text = files.decode(content, path)
     header = next((line for line in text.splitlines() if line.strip()), "")
     if header.lstrip()[:1] in ("{", "[") or _SCHEMA.search(text):
-        raise FileError("is no CSV, but a result or a machine file: give the campaign's own file",
+        raise FileError("must be CSV, not a result or a machine file: give the campaign's own file",
                         file=printable_path(path))  # fmt: skip
     if separator := _SEPARATOR.fullmatch(header):  # a spreadsheet's own first line
         text = text.replace(header, "", 1)
@@ -149,7 +149,7 @@ def frame_table(df: Any, name: str) -> Table:
         columns = [[_frame_cell(value) for value in df[column]] for column in labels]
     except TypeError:
         raise FileError(
-            "has a column that is no list: give a value for each row", file=name
+            "has a column that must be a list: give a value for each row", file=name
         ) from None
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)

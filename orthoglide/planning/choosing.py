@@ -61,7 +61,7 @@ class CombinationPrecision(Criterion):
     """Precision of combinations A of the unknowns: ``-log det(A' C A)`` with their covariance C.
 
     It is D-optimality where A is the identity, and the variance of one combination where A is a
-    column. A step of negative variance takes a reading away.
+    column.
     """
 
     combinations: Array  # A (P, m)

@@ -22,7 +22,7 @@ from orthoglide.geometry import Array
 from orthoglide.layout import LegNames
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
-from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest, ranked
+from orthoglide.ordering import best_of, largest
 from orthoglide.parameters import Parameter
 from orthoglide.planning.linear import predicted_problem
 from orthoglide.text import abbreviated
@@ -36,7 +36,6 @@ _MIN_SINE = 1e-3  # sine between signatures below which no size of an effect sep
 _COLUMNS = (
     "effect", "unit", "tolerance", "found from", "named from", "hardest", "nearest", "parameters",
 )  # fmt: skip
-_ROW_FACTOR = 2.0  # parameters of one effect found from sizes within this factor share a row
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class SmallestEffect:
 
 @dataclass(frozen=True)
 class Detectability(Framed):
-    """Detectable sizes of the catalogue; as a table, a row for each group of :attr:`alike`."""
+    """Detectable sizes of the catalogue; as a table, a row for each effect."""
 
     smallest: tuple[SmallestEffect, ...]  # by candidate, in the order of the catalogue
     invisible: tuple[Parameter, ...]  # parameters that these readings cannot show at any size
@@ -79,54 +78,30 @@ class Detectability(Framed):
         return groups
 
     @property
-    def alike(self) -> list[list[SmallestEffect]]:
-        """Single parameters, grouped by effect and by about equal detectable size, the smallest
-        first: a further instrument may show parameters that are hard to see otherwise.
-        """
-        groups: list[list[SmallestEffect]] = []
-        for members in self.by_effect.values():
-            limit = 0.0
-            for s in ranked(members, lambda s: -float(np.log(s.detectable)), LOG_ODDS_MARGIN):
-                if s.detectable > limit:
-                    limit = _ROW_FACTOR * s.detectable
-                    groups.append([])
-                groups[-1].append(s)
-        return groups
-
-    @property
     def columns(self) -> dict[str, list[Any]]:
-        """A row for each group of :attr:`alike`, in the units of files: the sizes from which all of
-        it are found and named, and the parameter that is named last. Parameters are listed where
-        they are not all of their effect.
+        """A row for each effect, in the units of files: the sizes from which all of its parameters
+        are found and named, and the parameter that is named last. Parameters are listed where
+        others of the effect are invisible.
         """
         rows = []
-        for members in self.alike:
+        for effect, members in self.by_effect.items():
             hardest = best_of(members, lambda s: s.nameable)
-            effect, unit = hardest.effect, hardest.unit
-            size = max(s.detectable for s in members)
-            siblings = self.by_effect[effect]
-            hidden = sum(name.effect == effect for name in self.invisible)
-            names = [s.name.behind for s in siblings if s in members]
-            listed = ", ".join(names) if len(names) < len(siblings) + hidden else ""
+            unit, size = hardest.unit, max(s.detectable for s in members)
+            is_partly_hidden = any(name.effect == effect for name in self.invisible)
+            listed = ", ".join(s.name.behind for s in members) * is_partly_hidden
             figures = (v / unit.si for v in (hardest.tolerance, size, hardest.nameable))
             rows.append((effect, unit.name, *figures, hardest.name, hardest.nearest, listed))
         return {title: [row[k] for row in rows] for k, title in enumerate(_COLUMNS)}
 
 
-def detectable_rows(sheet: Detectability, beyond: float = 0.0) -> list[str]:
-    """Return rows of text, one for each group of :attr:`Detectability.alike`: the sizes from which
-    all of it are found and named, and what the hardest of them is most like.
-
-    Args:
-        sheet: what it detects.
-        beyond: tolerances; effects that are found and named from less have no row.
+def detectable_rows(sheet: Detectability) -> list[str]:
+    """Return rows of text, one for each effect: the sizes from which all of its parameters are
+    found and named, and what the hardest of them is most like.
     """
     legs = sheet.legs
     lines = [f"{'effect':<22}{'tolerance':>10}{'found from':>11}{'named from':>11}  unit"]
     for row in zip(*sheet.columns.values(), strict=True):
         effect, unit, tolerance, size, named, hardest, nearest, parameters = row
-        if max(size, named) <= beyond * tolerance:
-            continue
         words = abbreviated(legs.effect_words(effect), 21)
         named_text = f"{named:.2g}" if np.isfinite(named) else "never"
         lines.append(f"{words:<22}{tolerance:>10.2g}{size:>11.2g}{named_text:>11}  {unit}")

@@ -11,7 +11,7 @@ import numpy as np
 
 from orthoglide.accuracy import without_translation, workspace_grid
 from orthoglide.effects.wording import cause_short, parameter_words
-from orthoglide.errors import InputError
+from orthoglide.errors import InputError, check_type
 from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.class_members import ClassMembers
 from orthoglide.fit import Estimate, normal_equations
@@ -98,8 +98,7 @@ def next_measurements(
         InputError: if ``fit`` is no estimate, or if readings are to be chosen and ``count`` is
             not a whole number from 2 to 500.
     """
-    if not isinstance(fit, Estimate):
-        raise InputError(f"a {type(fit).__name__} is no estimate: give what og.identify returns")
+    check_type("the fit", fit, Estimate, "an Estimate, as og.identify returns it")
     machine, lack_of_fit = fit.problem.machine, max(fit.sigma_scale, 1.0)
     fits = (fit, *(source for _, source in rivals if isinstance(source, Estimate)))
     parts = (one.problem.machine_parameters(one.problem.last_factor_index)[0] for one in fits)

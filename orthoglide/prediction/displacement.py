@@ -76,8 +76,7 @@ class Displacements:
             joint = motion.joint
             if joint not in VIRTUAL_NAMES:
                 raise InputError(
-                    f"{name} moves {joint!r}, which is no virtual joint: they are "
-                    f"{', '.join(VIRTUAL_NAMES)}"
+                    f"{name} must move a virtual joint ({', '.join(VIRTUAL_NAMES)}), not {joint!r}"
                 )
             drive_error = None if joint == "travel" else joints.get((leg, "travel"), 0)
             conditions = self.leg_conditions(sizes, vector, leg, drive_error)

@@ -187,14 +187,12 @@ class Rehearsal(Framed):
         readings: of the sheet.
         seed: of every draw.
         campaigns: one after the other.
-        weak: what the sheet hardly finds, cannot name or does not show, as rows of text.
     """
 
     machine: str
     readings: int
     seed: int
     campaigns: tuple[Outcome, ...]
-    weak: tuple[str, ...]
 
     def of(self, kind: Kind) -> tuple[Outcome, ...]:
         """Return the campaigns on which that was wrong."""
@@ -260,6 +258,4 @@ class Rehearsal(Framed):
             ]
             lines += [f"  and {len(problems) - _MAX_LISTED} more"] * (len(problems) > _MAX_LISTED)
             parts += ["\nWhat went wrong:", *lines]
-        if self.weak:
-            parts += ["\nWeak spots of the sheet, where nothing else is wrong:", *self.weak]
         return wrapped("\n".join(parts))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
@@ -18,17 +17,13 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.machine_file import machine_text
 from orthoglide.observations import Readings, campaign_text, protocol, read_readings
 from orthoglide.observations.protocols import ProtocolName
-from orthoglide.planning import aliasing, detectable_rows, sheets_by_kind, smallest_effects
+from orthoglide.planning import sheets_by_kind
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.rehearsal.outcome import Outcome, Rehearsal, run_campaign
 from orthoglide.rehearsal.random_machines import Scope
-from orthoglide.simulation import missing_conditions
 
 CAMPAIGNS = 90
 """Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
-
-WEAK_TOLERANCES = 3.0
-"""Tolerances: an effect that must be larger to be found, or named, is a weak spot of the sheet."""
 
 
 def rehearse(
@@ -72,13 +67,11 @@ def rehearse(
     if jobs == 0:
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = Machine.of(machine).with_only({})
-    progress(Step("computing", "what the sheet can see"))
     scope = Scope.of(machine, *_sheets_to_read(machine, sheet, owns))
     journal = None if out is None else _Journal(Path(out), scope, seed, campaigns)
-    weak = weak_spots(scope, seed)
     outcomes = _run_campaigns(scope, campaigns, seed, jobs, journal, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
-    rehearsal = Rehearsal(machine.spec.title, readings, seed, outcomes, weak)
+    rehearsal = Rehearsal(machine.spec.title, readings, seed, outcomes)
     if out is not None:
         write_file(Path(out) / "rehearsal.txt", f"{rehearsal}\n", overwrite=True)
     return rehearsal
@@ -99,29 +92,6 @@ def _sheets_to_read(
     return read_readings(sheet, machine.spec, require_readings=False)
 
 
-def weak_spots(scope: Scope, seed: int = 0) -> tuple[str, ...]:
-    """Return rows of text: effects that are found or named only from more than three tolerances,
-    effects that the sheet cannot show, with the reason, and waves that look like a curve.
-
-    Sizes are found, or named, with 95 % probability on a machine without other errors.
-    """
-    machine, catalogue = scope.machine, scope.machine.catalogue
-    detectability = smallest_effects(machine, scope.sheets, seed=seed)
-    names = (*detectability.invisible, *(s.name for s in detectability.smallest if s.elementary))
-    judged = {*catalogue.base, *(catalogue.effect_of(name).name for name in names)}
-    dials = any(sheet.on_legs.any() for sheet in scope.sheets)
-    missing: dict[str, list[str]] = {}
-    for effect in catalogue.values():
-        of_others = effect.instead_of or effect.of_body or (effect.of_dial and not dials)
-        if effect.name not in judged and not of_others:
-            missing.setdefault(missing_conditions(effect.needs), []).append(effect.name)
-    return (
-        *detectable_rows(detectability, WEAK_TOLERANCES),
-        *(f"not shown, as {reason}: {', '.join(effects)}" for reason, effects in missing.items()),
-        *(warning for sheet in scope.sheets for warning in aliasing(machine, sheet)),
-    )
-
-
 def _run_campaigns(
     scope: Scope,
     campaigns: int,
@@ -134,26 +104,21 @@ def _run_campaigns(
     from joblib import Parallel, delayed
 
     outcomes = dict(journal.finished) if journal else {}
-    pending, began = [k for k in range(campaigns) if k not in outcomes], time.monotonic()
+    pending = [k for k in range(campaigns) if k not in outcomes]
 
-    def show(done: int) -> None:
-        left = len(pending) - done
-        text = f"campaign {campaigns - left} of {campaigns}"
-        if done and left:
-            seconds = left * (time.monotonic() - began) / done
-            text += ", about " + (f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min")
-            text += " left"
-        progress(Step("computing", text, 100 * (campaigns - left) / campaigns))
+    def show() -> None:
+        text = f"campaign {len(outcomes)} of {campaigns}"
+        progress(Step("computing", text, 100 * len(outcomes) / campaigns))
 
-    show(0)
+    show()
     tasks = (delayed(run_campaign)(scope, k, seed) for k in pending)
     try:
         parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
-        for done, outcome in enumerate(parallel(tasks) if pending else (), start=1):
+        for outcome in parallel(tasks) if pending else ():
             outcomes[outcome.number] = outcome
             if journal:
                 journal.add(outcome)
-            show(done)
+            show()
     except BrokenExecutor as error:
         raise NumericsError(
             "a process of the rehearsal was ended from outside, perhaps for want of memory: give "

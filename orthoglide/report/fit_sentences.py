@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import parameter_words
@@ -69,41 +69,13 @@ def _effect_plurals(names: Iterable[str], catalogue: Catalogue) -> str:
     return listed(f"{n}es" if n.endswith(("sh", "ch", "ss", "x")) else f"{n}s" for n in words)
 
 
-def weak_sentences(weak: Iterable[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
-    """Return weak directions in sentences; similar ones share a sentence."""
-    legs = [(w, _leg_with_weak_length(w, catalogue)) for w in weak]
-    similar, others = [w for w, leg in legs if leg], [w for w, leg in legs if not leg]
-    groups = [others] if len(others) > _MOST_NAMED else [[w] for w in others]
-    sentences = [_direction_sentence(group, catalogue) for group in groups]
-    if similar:
-        first = _offset_and_length_sentence(similar, sorted(leg for _, leg in legs if leg))
-        return [first, *sentences]
-    return sentences
+def weak_sentences(weak: Sequence[WeakDirection], catalogue: Catalogue = CATALOGUE) -> list[str]:
+    """Return weak directions in sentences; many share one."""
+    groups = [weak] if len(weak) > _MOST_NAMED else [[one] for one in weak]
+    return [_direction_sentence(group, catalogue) for group in groups]
 
 
-def _leg_with_weak_length(weak: WeakDirection, catalogue: Catalogue) -> str:
-    """Return the leg (and campaign) whose offset and length change together; empty for others."""
-    names = [catalogue.parameter(name) for name in weak.parameters]
-    one_leg = len({(n.leg, n.campaign) for n in names}) == 1 and bool(names[0].leg)
-    offset_and_length = {n.effect for n in names} == set(catalogue.base) and len(names) == 2
-    same_sign = len({share > 0 for share in weak.parameters.values()}) == 1
-    if not (one_leg and offset_and_length and same_sign):
-        return ""
-    return f"{names[0].leg} of {names[0].campaign}" if names[0].campaign else names[0].leg
-
-
-def _offset_and_length_sentence(weak: list[WeakDirection], legs: list[str]) -> str:
-    widest = best_of(weak, lambda w: w.sigma)
-    text = (
-        f"The readings cannot tell the joint offset from the leg length of leg {listed(legs)}: "
-        f"where both grow by the same amount, by as much as {compact(widest.sigma, 2)} "
-        f"{widest.unit} ({_SIGMA_WITHOUT_PRIORS}), hardly any reading changes. They show "
-        f"the difference of the two."
-    )
-    return text + _prior_sentence(widest)
-
-
-def _direction_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
+def _direction_sentence(weak: Sequence[WeakDirection], catalogue: Catalogue) -> str:
     """Return the sentence of one direction, or of several by the widest of them."""
     names = [name for one in weak for name in one.parameters]
     words = [parameter_words(catalogue.parameter(name), catalogue.legs) for name in names]
@@ -122,11 +94,8 @@ def _direction_sentence(weak: list[WeakDirection], catalogue: Catalogue) -> str:
     size = f"{compact(widest.sigma, 2)} {widest.unit} ({_SIGMA_WITHOUT_PRIORS}), and hardly any"
     if math.isinf(widest.sigma):
         size = "any amount, and no"
-    return f"{text} may change by {size} reading changes.{_prior_sentence(widest)}"
-
-
-def _prior_sentence(weak: WeakDirection) -> str:
-    if not weak.sigma_with_priors < 0.5 * weak.sigma:
-        return ""
-    size = f"{compact(weak.sigma_with_priors, 2)} {weak.unit}"
-    return f" The tolerances, not the readings, narrow this to {size}."
+    sentence = f"{text} may change by {size} reading changes."
+    if not widest.sigma_with_priors < 0.5 * widest.sigma:
+        return sentence
+    narrowed = f"{compact(widest.sigma_with_priors, 2)} {widest.unit}"
+    return f"{sentence} The tolerances, not the readings, narrow this to {narrowed}."

@@ -37,7 +37,7 @@ def check_folder(out: Path, overwrite: bool = False) -> Path:
             "is the folder you are in: name a new one inside it": target == Path.cwd(),
             "is not empty and results are never overwritten: name a new or empty folder":
                 names and not overwrite,
-            f"holds {''.join(foreign[:1])}, which is no part of a report: name another folder":
+            f"must hold an earlier report alone, and holds {''.join(foreign[:1])}: name another":
                 foreign,
             "cannot be made where there is no folder to hold it: make that first":
                 not parent.is_dir(),
@@ -67,7 +67,7 @@ def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = 
             temporary.mkdir()
             for name, content in files.items():
                 if ".." in Path(name).parts or Path(name).is_absolute():
-                    raise FileError("is no place within the folder", file=name)
+                    raise FileError("must be a place within the folder", file=name)
                 path = temporary / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)

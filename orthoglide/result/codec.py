@@ -202,7 +202,7 @@ def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) 
 
 def _checked(data: Any, is_valid: bool, expected: str) -> Any:
     if not is_valid:
-        raise TypeError(f"{abbreviated(repr(data))} is no {expected}")
+        raise TypeError(f"expected {expected}, found {abbreviated(repr(data))}")
     return data
 
 

@@ -183,7 +183,12 @@ class Curve:
     @property
     def words(self) -> str:
         """The error with its size, a clause."""
-        return f"{self.description}, by {self.size_words}"
+        return f"{self.description}, by {self.size_words}{self._size_place}"
+
+    @property
+    def _size_place(self) -> str:
+        """Where an error that grows with the travel has its size."""
+        return " half a stroke from mechanical zero" * (self.part == "screw")
 
     @property
     def words_with_measure(self) -> str:
@@ -193,7 +198,8 @@ class Curve:
         size = self.size_words.removesuffix(" rms")
         if self.against not in ways and size == self.size_words:  # of a bump
             return self.words
-        return f"{self.description}, by {size} ({ways.get(self.against, 'root mean square')})"
+        measure = ways.get(self.against, "root mean square")
+        return f"{self.description}, by {size}{self._size_place} ({measure})"
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""

@@ -242,7 +242,7 @@ def read_result(path: Path) -> dict[str, Any]:
     except json.JSONDecodeError as error:
         problem, line = f"is not JSON ({error.msg}): give the result.json of a run", error.lineno
     except (ValueError, RecursionError):  # a number with thousands of digits, or as many brackets
-        problem = "is no result: give the result.json of a run"
+        problem = "must be the result.json of a run"
     else:
         problem = unprintable_problem(keys) or _result_problem(keys)
     if problem:
@@ -334,4 +334,4 @@ def machine_of(keys: Mapping[str, Any], effects: Sequence[Effect] = ()) -> Machi
 def _check_name(name: str) -> None:
     plain = name not in ("", "..") and name == PurePath(name).name and "\0" not in name
     if not plain or len(name.encode("utf-8", "replace")) > _LONGEST_NAME:
-        raise ValueError(f"{name[:40]!r} is no name of a file")
+        raise ValueError(f"expected the name of a file, found {name[:40]!r}")

@@ -10,7 +10,6 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from orthoglide import __version__
-from orthoglide.accuracy import TcpMap, tcp_map
 from orthoglide.add_ons import Corrections, Section
 from orthoglide.control import ControllerNumbers
 from orthoglide.effects import Catalogue, Effect
@@ -355,11 +354,6 @@ class Result(Judged, Framed):
     def next_sheet(self) -> Readings | None:
         """All proposed readings as one sheet to fill in; ``None`` if there are none."""
         return sheet_of(self.sheet, self.request.machine) if self.sheet else None
-
-    @cached_property
-    def map(self) -> TcpMap | None:
-        """Predicted TCP over the workspace with its uncertainty; ``None`` after ``identify``."""
-        return tcp_map(self.machine) if self.searches else None
 
 
 def sheet_of(rows: Sequence[Mapping[str, str]], machine: Machine) -> Readings:

@@ -119,7 +119,7 @@ def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
     try:
         tables = tomllib.loads(text).get("closure", [])
     except tomllib.TOMLDecodeError as error:
-        raise FileError(f"is no TOML ({abbreviated(str(error))}): correct it", file=file) from None
+        raise FileError(f"must be TOML ({abbreviated(str(error))})", file=file) from None
     loops = []
     for table in tables if isinstance(tables, list) else []:
         if not isinstance(table, dict):
@@ -162,7 +162,8 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
         if motor in motors[:k]:
             lists.fail("name_mot", f"names {abbreviated(str(motor))} twice: name each joint once")
         if not isinstance(motor, str) or motor not in names:
-            lists.fail("name_mot", f"names {abbreviated(str(motor))}, no joint of {ROBOT_URDF}")
+            text = f"must name joints of {ROBOT_URDF}, not {abbreviated(str(motor))}"
+            lists.fail("name_mot", text)
     moving = frozenset(name for name, kind in names.items() if kind not in ("fixed", "link"))
     replaced = _joint_replacements(lists, moving)
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
@@ -172,9 +173,9 @@ def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: Coll
     """Return the fault of the frames or the kind of a loop as a clause; empty for none."""
     texts = isinstance(frames, list) and all(isinstance(n, str) and n in names for n in frames)
     if not texts or len(frames) != 2 or frames[0] == frames[1]:
-        return f"names {abbreviated(str(frames))}, no two frames of the URDF: correct it"
+        return f"must name two frames of the URDF, not {abbreviated(str(frames))}"
     if kind not in kinds:
-        return f"has {abbreviated(str(kind))!r}, which is neither {' nor '.join(kinds)}: correct it"
+        return f"must be of kind {' or '.join(kinds)}, not {abbreviated(str(kind))!r}"
     return ""
 
 
@@ -185,10 +186,10 @@ def _joint_replacements(lists: _YamlLists, names: frozenset[str]) -> dict[str, s
     for joint, kind in zip(joints, kinds, strict=True):
         if joint not in names:
             name = abbreviated(str(joint))
-            lists.fail("joint_name", f"names {name}, no moving joint of {ROBOT_URDF}")
+            lists.fail("joint_name", f"must name moving joints of {ROBOT_URDF}, not {name}")
         if kind not in _REPLACEMENTS:
             allowed = " or ".join(_REPLACEMENTS)
-            text = f"has {abbreviated(str(kind))}, which is not read: it is {allowed}"
+            text = f"must be {allowed}, not {abbreviated(str(kind))}"
             lists.fail("joint_type", text)
     return dict(zip(joints, kinds, strict=True))
 
@@ -204,7 +205,7 @@ def _read_urdf(path: Path) -> tuple[str, dict[str, str]]:
         root = ET.fromstring(text)
     except (ET.ParseError, ValueError) as error:
         reason = abbreviated(str(error))
-        raise FileError(f"is no URDF ({reason}): correct it", file=printable_path(path)) from None
+        raise FileError(f"must be a URDF ({reason})", file=printable_path(path)) from None
     links, joints = root.findall("link"), root.findall("joint")  # some have the same names
     return text, {str(e.get("name")): e.get("type", "link") for e in (*links, *joints)}
 
@@ -239,5 +240,5 @@ class _YamlLists:
         except (ValueError, SyntaxError, MemoryError, RecursionError):
             value = None
         if not isinstance(value, list):
-            self.fail(key, "is no list in brackets, with names in quotes: write it so")
+            self.fail(key, "must be a list in brackets, with names in quotes")
         return list(value)

@@ -126,7 +126,7 @@ class ConfigSection:
         value = _cell(text)
         if isinstance(value, str):
             remedy = "write digits with a decimal point, and no unit"
-            self.fail(key, f"is {text[:40]!r}, which is no number: {remedy}")
+            self.fail(key, f"must be a number, not {text[:40]!r}: {remedy}")
         if not (math.isfinite(value) and low < value < high):
             limits = f"{compact(low, 6)} to {compact(high, 6)}"
             self.fail(key, f"is {text[:40]}, out of the range from {limits}: correct it")
@@ -351,11 +351,11 @@ def _parse(config: Config, lines: Lines, path: Path, within: tuple[Path, ...]) -
             section, key = ConfigSection("", Entry("", number, file)), ""
             config.note(
                 BROKEN_HEADER,
-                f"{file}, line {number}: {text[:40]!r} is no '[section]' and is left out with all "
-                f"that follows up to the next one: write [{intended_name[:40]}]",
+                f"{file}, line {number}: {text[:40]!r} must be [{intended_name[:40]}], and is left "
+                f"out with all that follows up to the next section",
             )
         elif (section and section.name.split(" ")[0] in _READ_SECTIONS) or match:
-            reason = "it is no 'key: value'" if section else "no section stands above it"
+            reason = "'key: value' was expected" if section else "no section stands above it"
             config.note("line", f"{file}, line {number}: {text[:40]!r} is left out, as {reason}")
 
 

@@ -389,5 +389,5 @@ def _microstep(config: Config, tower: str) -> float:
         except (ValueError, ZeroDivisionError):
             gear = math.nan
     if not 0 < gear < 1e3:
-        section.fail("gear_ratio", "is no list of ratios such as 80:16: correct it")
+        section.fail("gear_ratio", "must be a list of ratios such as 80:16")
     return rotation * 1e-3 / (full_steps * microsteps * gear)
