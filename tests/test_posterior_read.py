@@ -109,11 +109,11 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
 
     one._mean = lambda state, scale: means[states.index(state)]
     one._covariances = lambda at: lambda state, _: covariances[states.index(state)][np.ix_(at, at)]
-    found = one.averaged_moments(2)
+    covariance, prior = one.averaged_covariances(2)
     middle = weights @ means
     apart = means - middle
-    assert found.mean == pytest.approx(middle)
-    assert found.covariance == pytest.approx(
+    assert one.mean == pytest.approx(middle)
+    assert covariance == pytest.approx(
         np.einsum("k,kij->ij", weights, covariances) + (weights * apart.T) @ apart
     )
-    assert found.prior == pytest.approx(np.diag([0.25 + 0.3, 4.0 + 0.2]))
+    assert prior == pytest.approx(np.diag([0.25 + 0.3, 4.0 + 0.2]))

@@ -17,6 +17,7 @@ from orthoglide.explanation import (
     full_posterior,
     posterior_lack_of_fit,
 )
+from orthoglide.explanation.assumed_noise import with_refuted_noise_enlarged
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import SLAB_WIDTHS, with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
@@ -29,7 +30,6 @@ from orthoglide.explanation.data_faults import (
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
-from orthoglide.explanation.repeats import with_refuted_noise_enlarged
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
 from orthoglide.fit.plausible import check_drive_order, check_plausible
@@ -82,13 +82,9 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         outcome = _search(request, base_fit, findings, progress)
     if outcome.word not in ("adequate", "diffuse"):
         check_levels(outcome.before)
-        outcome = replace(outcome, alone=())
     if outcome.word == "unexplained":
         refit = refit_with_residual_noise(outcome.before)
         outcome = replace(outcome, before=refit, after=refit)
-    else:
-        probable = (one for one in outcome.possible if one.probability > EVEN_PROBABILITY)
-        outcome = replace(outcome, possible=tuple(probable))
     earlier_changes = [c.with_later_fit(outcome.after) for c in base_fit.changes]
     changed = (
         *(c for c in earlier_changes if c.is_reported),
@@ -139,17 +135,30 @@ def _search(
     progress(Step("testing"))
     sets = credible_sets(posterior, changed_names)
     fit_test = posterior_lack_of_fit(posterior, sets)
-    if not posterior.converged:
-        sets = replace(sets, effects=())
-    if _lacks_explanation(fit_test) and not _explains_most(posterior):
-        # The true error is not in the model, and the located errors may only imitate it.
-        sets = replace(sets, located=())
+    sets, word = _reported_sets(posterior, sets, fit_test)
     return RunOutcome(
-        **vars(sets), request=request, word=_verdict(sets, fit_test), before=posterior.before,
+        **vars(sets), request=request, word=word, before=posterior.before,
         after=posterior.after, residual_test=fit_test, posterior=posterior,
         blunders=tuple(report_faults(base_fit, faults, request.given)),
         fit_with_faults=base_fit if faults else None,
     )  # fmt: skip
+
+
+def _reported_sets(
+    posterior: FullPosterior, sets: CredibleSets, fit_test: LackOfFit
+) -> tuple[CredibleSets, Word]:
+    """Return the verdict, and the credible sets without those that it does not support."""
+    effects = sets.effects if posterior.converged else ()
+    # If an explanation is missing, the true error is not in the model, and located errors may only
+    # imitate it.
+    is_missing = _lacks_explanation(fit_test) and not _explains_most(posterior)
+    sets = replace(sets, effects=effects, located=() if is_missing else sets.located)
+    word = _verdict(sets, fit_test)
+    # An unexplained residual needs further causes than one on a machine that is sound otherwise.
+    alone = sets.alone if word in ("adequate", "diffuse") else ()
+    least = 0.0 if word == "unexplained" else EVEN_PROBABILITY
+    possible = tuple(one for one in sets.possible if one.probability > least)
+    return replace(sets, alone=alone, possible=possible), word
 
 
 def _explains_most(posterior: FullPosterior) -> bool:

@@ -18,7 +18,7 @@ from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
-from orthoglide.observations.touched_plates import file_disagreements
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
     DataFault,
@@ -200,8 +200,8 @@ class RunOutcome(Judged, CredibleSets):
         """How lists of touches contradict each other, one by one; without what the firmware's
         add-on states on import.
         """
-        spec = self.request.machine.spec
-        found = file_disagreements(spec, self.request.points)
+        spec, touches = self.request.machine.spec, self.request.points
+        found = disagreements(spec.kinematics, touches, relative=spec.meshes_relative)
         known = () if spec.printer is None else spec.printer.changed_since
         return tuple(text for *_, note in found if (text := sentence(note)) not in known)
 

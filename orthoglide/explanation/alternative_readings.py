@@ -1,9 +1,9 @@
 """Misreadings: a finite list of alternative data that the readings may stand for.
 
 A sign, a unit, a label, two exchanged columns or labels, a row too early or too late, a dial that
-stuck. None adds columns to the linear model as a cause does; each is compared as other data of the
-same machine. Whole turns of a dial's hand, which depend on a fit, are listed in
-`ranked_readings`.
+stuck; of a level its sign, its axes, and degrees. None adds columns to the linear model as a cause
+does; each is compared as other data of the same machine. Whole turns of a dial's hand, which depend
+on a fit, are listed in `ranked_readings`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,12 @@ EXPECTED_COUNT = 0.5 / 6
 """Prior mean number of misreadings of each kind: half of one for the six kinds of most sheets."""
 
 _INCH_STEP = 1e-7  # metres: step of readings in inches that were taken for millimetres
-_MOST_DIGIT_EVIDENCE = 10.0  # largest log Bayes factor of the digits, for or against
+_MOST_DIGIT_EVIDENCE = 10.0  # log Bayes factor: one sheet in 20 000 may break any rule
 _FEWEST_STUCK = 4  # successive equal readings over several postures that a stuck dial may give
-_LOST_RANGE = 1e-3  # metres: range of a reading that was lost
+_LOST_RANGE = 1e-3  # metres in which a lost reading lay: a turn of most hands
 _WRITTEN_STEPS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # metres
+
+_DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for milliradians
 
 RowsBySetup = Mapping[int, Rows]
 
@@ -51,10 +53,10 @@ def setups_to_reinterpret(problem: Problem, faults: Sequence[Fault]) -> dict[int
 def list_alternative_readings(problem: Problem, rows_by_setup: RowsBySetup) -> list[Fault]:
     """Return every sign, unit, label, exchange, shift and stuck run of dials."""
     generators = (_signs, _units, _labels, _exchanges, _shifts, _stuck)
-    return [one for kind in generators for one in sharing_prior(kind(problem, rows_by_setup))]
+    return [one for kind in generators for one in _sharing_prior(kind(problem, rows_by_setup))]
 
 
-def sharing_prior(kind: Iterable[Fault]) -> list[Fault]:
+def _sharing_prior(kind: Iterable[Fault]) -> list[Fault]:
     """Return misreadings of one kind with the prior odds of that kind, which they share equally."""
     alternatives = list(kind)
     share = float(np.log(EXPECTED_COUNT / max(len(alternatives), 1)))
@@ -171,3 +173,21 @@ def _digit_evidence(problem: Problem, fault: Fault) -> float:
     value_count = len(np.unique(readings)) - 1
     chance = 2 * GRID_TOLERANCE if factor > 1 else max(factor, 2 * GRID_TOLERANCE)
     return min(-value_count * float(np.log(chance)), _MOST_DIGIT_EVIDENCE)
+
+
+def level_readings(problem: Problem) -> dict[str, Fault]:
+    """Return other interpretations of the readings of all levels, by how they fit then, and what to
+    do; they share their prior.
+    """
+    rows = np.flatnonzero(problem.angular)
+    axis = problem.column("axis")[rows]
+    interpretations = {
+        "with the opposite sign: look which way it counts, right-handed about x and y, and put -x "
+        "and -y as directions": Fault("sign", rows, -1.0),
+        "with x and y exchanged: correct the directions": Fault("exchanged_labels", rows, 1.0),
+        "as degrees: put them into milliradians, 17.45 a degree": Fault("unit", rows, _DEGREE),
+    }
+    for k, name in enumerate("xy" if len(np.unique(axis)) > 1 else ""):
+        clause = f"with the opposite sign about {name}: look which way it counts there, and put "
+        interpretations[f"{clause}-{name} as direction"] = Fault("sign", rows[axis == k], -1.0)
+    return dict(zip(interpretations, _sharing_prior(interpretations.values()), strict=True))

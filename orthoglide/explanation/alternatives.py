@@ -12,9 +12,8 @@ from orthoglide.explanation.search import State
 from orthoglide.geometry import Array
 from orthoglide.ordering import RELATIVE_MARGIN, best_of, largest
 
-_LEAST_STATE_WEIGHT = 1e-3  # least weight of a state that is considered
-_LEAST_COMMAND_PROBABILITY = 0.01  # of a wrong command that is corrected and linearised again
-_LEAST_SINGLE_PROBABILITY = 0.01  # least probability of a single group as an alternative
+_LEAST_STATE_WEIGHT = 1e-3  # of a state that is considered: a tenth of it changed no result
+_LEAST_PROBABILITY = 0.01  # of an alternative: a credible set of 99 % may leave out less
 
 
 class Alternatives:
@@ -42,7 +41,7 @@ class Alternatives:
         single[-1] = np.exp(none_active - top) + by_group.sum() - single.sum()
         single /= single.sum()
         joint = np.zeros(len(single))
-        likely_alone = set(np.flatnonzero(single[:-1] > _LEAST_SINGLE_PROBABILITY))
+        likely_alone = set(np.flatnonzero(single[:-1] > _LEAST_PROBABILITY))
         for state, weight in self.probable_states.items():
             added = {g for g, _ in state} - {g for g, _ in smaller}
             is_joint = len(added) > 1 and not added & likely_alone
@@ -82,7 +81,7 @@ class Alternatives:
                 probabilities = self.probabilities(member)[:-1]
                 candidates = [*rows]
                 likeliest = candidates[largest(probabilities[candidates])]
-                if probabilities[likeliest] <= _LEAST_COMMAND_PROBABILITY:
+                if probabilities[likeliest] <= _LEAST_PROBABILITY:
                     continue
             if not any(rows[likeliest] & rows[k] for k in possible.values()):
                 possible[member] = likeliest
@@ -136,7 +135,7 @@ class Alternatives:
         return self.mixture.scales[largest(logs)].columns
 
     def _unit_signatures(self, state: State, groups: list[int]) -> Array:
-        """Return the signatures of groups in a state, past the background, of unit length
+        """Return the signatures of groups in a state, whitened by the background, of unit length
         ``(groups, m)``.
         """
         mixture = self.mixture

@@ -20,7 +20,7 @@ from orthoglide.result import CandidateScore, Cause, Curve, Explanation, Located
 CREDIBLE = 0.95
 """Probability that a credible set contains the true cause."""
 
-_BUMP_WIDTHS = 3.0  # widths of a bump beyond which it has vanished
+_BUMP_WIDTHS = 3.0  # from the centre of a bump, beyond which a hundredth of it is left
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,7 +30,8 @@ class CredibleSets:
     effects: tuple[Cause, ...] = ()  # with names, the one that the fit needs most first
     located: tuple[Located, ...] = ()  # without names, in the same order
     candidates: tuple[CandidateScore, ...] = ()  # nearest to being active, most probable first
-    # if none is active: the credible set of single causes on an otherwise sound machine
+    # if none is active, the causes of which one alone may explain the readings, with all other
+    # errors within `SOUND_BACKGROUND`: a credible set of 95 %
     alone: tuple[Explanation, ...] = ()
     # if none is active: the most probable causes, each estimated as the only one
     possible: tuple[Explanation, ...] = ()
@@ -182,11 +183,12 @@ def _beyond_tolerance(
         index: of the parameters, all of one effect.
         combined: name and weights ``(k,)`` of each combination.
     """
-    linearised, problem, moments = posterior.linearised, posterior.before.problem, posterior.moments
+    linearised, problem = posterior.linearised, posterior.before.problem
     machine, count = problem.machine, len(problem.names)
-    mean = problem.without_common_error(moments.mean[:count] * linearised.units[:count])[index]
+    mean = problem.without_common_error(posterior.mean[:count] * linearised.units[:count])[index]
     units = linearised.units[index]
-    covariance = moments.covariance[np.ix_(index, index)] * units * units[:, None]
+    covariance, _ = posterior.averaged_covariances
+    covariance = covariance[np.ix_(index, index)] * units * units[:, None]
     limit, causes = MAX_TOLERANCES * machine.tolerance(problem.names[index[0]]), list[Cause]()
     for name, weights in combined:
         value, sigma = float(weights @ mean), float(np.sqrt(weights @ covariance @ weights))

@@ -18,6 +18,7 @@ from orthoglide.effects import Catalogue
 from orthoglide.errors import NumericsError
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.linear_model import (
+    TWENTY_TO_ONE,
     LinearModel,
     UnknownNoise,
     drop_unseen_directions,
@@ -27,6 +28,7 @@ from orthoglide.explanation.mixture import Mixture
 from orthoglide.fit import Estimate, Problem, with_effects_freed, with_free
 from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.fit.unknowns import Unknown, share_plate_shapes
 from orthoglide.geometry import Array
 from orthoglide.observations import source
@@ -35,7 +37,7 @@ from orthoglide.parameters import Parameter, split_campaign
 _ROUNDS = 5
 """Largest number of linearisations, each of the machine with the changes found before."""
 
-_EXPECTED_CHANGES = float(np.exp(-3.0))
+_EXPECTED_CHANGES = float(np.exp(-TWENTY_TO_ONE))
 """Prior mean number of changes of each zero, and of all other parameters together: between two
 visits, one in twenty changes."""
 
@@ -49,8 +51,8 @@ SLAB_ODDS = tuple(
 
 _MOST_CHANGES = 12  # largest number of changes between two visits
 
-INDISTINGUISHABLE_CHI2 = 4.0
-"""Rise of chi2 within which two causes are indistinguishable: two sigmas (Wilks)."""
+INDISTINGUISHABLE_CHI2 = CERTAIN_SIGMAS**2
+"""Rise of chi2 within which two causes are indistinguishable (Wilks)."""
 
 
 def possible_changes(
@@ -185,10 +187,6 @@ def _linear_model(
     return drop_unseen_directions(linear), prior_mean, prior_root
 
 
-_OPEN_PRIOR_WIDTH = 3.0
-"""Prior width of the machine's effects, in tolerances, with one value at all visits."""
-
-
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
     """Return the first campaign of each visit: name, file, and index of its factor.
 
@@ -237,8 +235,8 @@ def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
 
 
 def _with_all_effects(problem: Problem) -> Problem:
-    """Return the problem with every effect of the catalogue free, those of the machine with wide
-    priors and one value at all visits.
+    """Return the problem with every effect of the catalogue free, those of the machine with one
+    value at all visits and priors as wide as the largest plausible error.
     """
     effects = [effect.name for effect in excited_effects(problem)]
     catalogue = problem.machine.catalogue
@@ -247,7 +245,7 @@ def _with_all_effects(problem: Problem) -> Problem:
     def widened(unknown: Unknown) -> Unknown:
         effect = catalogue.effect_of(unknown.name)
         of_dial = effect.of_dial and not effect.of_body
-        return replace(unknown, prior_width=1.0 if of_dial else _OPEN_PRIOR_WIDTH)
+        return replace(unknown, prior_width=1.0 if of_dial else MAX_TOLERANCES)
 
     freed = with_effects_freed(problem, effects)
     unknowns = share_plate_shapes(freed.unknowns, catalogue, per_visit)

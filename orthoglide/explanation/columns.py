@@ -48,23 +48,22 @@ from orthoglide.fit.least_squares import (
     nuisances,
     predict,
 )
+from orthoglide.fit.problem import MAX_TOLERANCES
 from orthoglide.fit.unknowns import posterior_rows
 from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 from orthoglide.parameters import Parameter
 
 _VAGUE_SD = 1e3
-"""Tolerances: prior sd of a coefficient whose prior is given by rows of its own."""
+"""Tolerances: prior sd of a coefficient whose prior is given by rows of its own, to which it adds
+a millionth of the information of one tolerance."""
 
-_ZERO_SD = 1e-9  # tolerances: prior sd of what a twin represents, and of inactive jumps
+_ZERO_SD = 1e-9
+"""Tolerances: prior sd of what a twin represents, and of inactive jumps; it moves no reading."""
 
 _LARGEST_SURFACE_BACKGROUND = 0.1
 """Tolerances: largest usual background if only a surface was measured. A wider one fits any surface
 and excludes nothing. It is rare, and twice as rare if the surface is a plate of unknown shape."""
-
-_LARGEST_SURFACE_SLAB = 3.0
-"""Tolerances: largest scale of active groups if only a surface was measured. Many causes fit one
-surface; only sizes that a machine may have are considered."""
 
 _ENOUGH_REPEATS = 10
 """Repeats that determine the noise: on ten degrees of freedom, half or twice the noise has odds of
@@ -328,7 +327,8 @@ def _linearise_all_parameters(
 def _with_plate_priors(linear: LinearModel, problem: Problem) -> LinearModel:
     """Return the model with the priors for readings of surfaces, or for plates with extra noise."""
     if only_surface_readings(problem):
-        slab_scales = tuple(s for s in SLAB_SCALES if s <= _LARGEST_SURFACE_SLAB)
+        # Many causes fit one surface; only sizes that a machine may have are considered.
+        slab_scales = tuple(s for s in SLAB_SCALES if s <= MAX_TOLERANCES)
         log_prior = 2 * RARE_LOG_PRIOR if only_plate_readings(problem) else RARE_LOG_PRIOR
         wide_background = _LARGEST_SURFACE_BACKGROUND, log_prior
         linear = replace(linear, slab_scales=slab_scales, wide_background=wide_background)

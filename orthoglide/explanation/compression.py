@@ -28,9 +28,9 @@ from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 
 COMPRESSION_THRESHOLD = 5000
-"""Number of readings above which they are compressed."""
+"""Number of readings above which they are compressed: with 2000 columns they take 80 MB."""
 
-_BLOCK = 4096  # readings in a block
+_BLOCK = 4096  # readings in a block, which is no larger than readings that are not compressed
 _ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is rounding
 
 

@@ -12,15 +12,16 @@ from orthoglide.explanation.credible_sets import CREDIBLE_WITH_DATA_FAULT, LEAST
 from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault, factors_and_rows, setups_of
 from orthoglide.explanation.full_posterior import FullPosterior
+from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Problem
 from orthoglide.fit.repeats import NEIGHBOUR_DISTANCE
 from orthoglide.ordering import descending, largest
 
 EVEN_PROBABILITY = 0.5  # probability above which something is more probable than not
 
-_LEAST_SHARE = float(np.exp(-3.0))
+_LEAST_SHARE = float(np.exp(-TWENTY_TO_ONE))
 """Smallest probability, relative to the likeliest drive, at which another drive is also reported as
-the one whose command is wrong: one in twenty, below which it would not be in a 95 % set."""
+the one whose command is wrong."""
 
 
 class CredibleFaults(NamedTuple):

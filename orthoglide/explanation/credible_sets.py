@@ -30,6 +30,7 @@ from orthoglide.explanation.causes import (
 from orthoglide.explanation.faults import fault_message, lines_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
+from orthoglide.fit.problem import CERTAIN_SIGMAS
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
 from orthoglide.result import CandidateScore, Cause, Curve, DataRival, Explanation, Located
@@ -47,8 +48,6 @@ LARGEST_CREDIBLE_SET = 20
 
 LEAST_CLAIMED_PROBABILITY = 0.9
 """Least probability of a claim: that a cause is active, and that it is of the stated kind."""
-
-_NONZERO_SIGMAS = 2.0  # sigmas from which a part of a family counts as different from zero
 
 
 def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> CredibleSets:
@@ -72,7 +71,7 @@ def merge_families(explanations: Sequence[Explanation]) -> list[Explanation]:
     merged = dict[str, Explanation]()
     for family in sorted(explanations, key=lambda e: len(e.parameters)):
         nonzero = {
-            n for n, v in family.values.items() if abs(v) > _NONZERO_SIGMAS * family.sigmas[n]
+            n for n, v in family.values.items() if abs(v) > CERTAIN_SIGMAS * family.sigmas[n]
         }
         parts = [e for e in merged.values() if nonzero <= {*e.parameters} < {*family.parameters}]
         if nonzero and parts:

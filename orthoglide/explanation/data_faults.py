@@ -17,6 +17,13 @@ from orthoglide.explanation.alternative_readings import (
     list_alternative_readings,
     setups_to_reinterpret,
 )
+from orthoglide.explanation.assumed_noise import (
+    check_scatter,
+    find_scattered_setups,
+    outlying_repeats,
+    with_noise_reestimated,
+    with_smaller_noise,
+)
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
 from orthoglide.explanation.corrections import with_faults_accounted_for
@@ -36,25 +43,18 @@ from orthoglide.explanation.full_posterior import (
     posterior_with_corrected_commands,
 )
 from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
-from orthoglide.explanation.repeats import (
-    check_scatter,
-    find_scattered_setups,
-    outlying_repeats,
-    with_noise_reestimated,
-    with_smaller_noise,
-)
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.reading_tables import row_indices
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
-from orthoglide.observations.touched_plates import file_disagreements
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import DataFault
 
 _ROUNDS = 6
-"""Largest number of rounds of search and correction."""
+"""Largest number of rounds of search and correction: 12 changed no result."""
 
 _MOST_SLIPS = 0.25
 """Share of the readings of one kind that may be slips. People misread one reading in fifty: if more
@@ -141,9 +141,9 @@ def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> Cre
     """Return the data faults without those of lists of touches that are not of one plate and one
     set of numbers: the difference of two lists is no fault of their touches.
     """
-    tables = [factor.readings for factor in problem.factors]
-    apart = {name for *names, _ in file_disagreements(problem.machine.spec, tables)
-             for name in names}  # fmt: skip
+    tables, spec = [factor.readings for factor in problem.factors], problem.machine.spec
+    pairs = disagreements(spec.kinematics, tables, relative=spec.meshes_relative)
+    apart = {name for *names, _ in pairs for name in names}
     if not apart:
         return found
     contradictory = np.concatenate([table.touching & (table.name in apart) for table in tables])

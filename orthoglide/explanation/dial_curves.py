@@ -15,9 +15,9 @@ from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest
 
-_MOST_DIAL_BUMPS = 2  # bumps considered for each dial, at the readings that they explain best
-_LEAST_DIAL_MOVE = 1e-6  # metres: a smaller move does not move a dial
-_CLEAR_DIAL_MOVE = 5e-6  # metres: a larger move has a certain direction
+_MOST_DIAL_BUMPS = 2  # for each dial, at the readings that they explain best: 4 changed no result
+_LEAST_DIAL_MOVE = 1e-6  # metres: the finest step of dials
+_CLEAR_DIAL_MOVE = 5e-6  # metres: less is within the repeatability of dials
 _DIRECTION_SEPARATION = 3.0  # least mean difference of both directions' residuals, in scatters
 
 

@@ -16,6 +16,7 @@ from orthoglide.effects.kernels import Level
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excitation import axes_approached_from_both_sides
+from orthoglide.fit.least_squares import project_out
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
@@ -23,14 +24,14 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 from orthoglide.prediction import Model
 
-_LARGEST_BUMP_SHARE = 0.2  # of the readings at a travel for which a bump is considered
+_LARGEST_BUMP_SHARE = 0.2  # of the readings at a travel: on fewer than five, a bump is a curve
 _MOST_BUMP_TRAVELS = 40  # travels of a leg: with more, each has too few readings for a bump
 _BUMP_STEP = 4e-3  # metres: half the width of the narrowest bump
 _LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer are slips
 _MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
-_MOST_JUMPS = 8  # jumps considered for each part, at the moments that explain most
+_MOST_JUMPS = 8  # for each part, at the moments that explain most: 16 changed no result
 _LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
-_LEAST_SIGNAL = 0.1  # sigmas: least effect on a reading that counts as visible
+_LEAST_SIGNAL = 0.1  # sigmas: less adds under a hundredth to the chi2 of a reading
 
 
 def only_surface_readings(problem: Problem) -> bool:
@@ -124,7 +125,8 @@ def free_form_columns(
         problem: the readings.
         x: its unknowns ``(P,)``, SI.
         residual: of the readings there ``(n,)``, SI.
-        fitted: root of the hat matrix of everything fitted, priors included, in sigmas ``(n, q)``.
+        fitted: rows of the readings of orthonormal columns that span everything fitted, priors
+            included, in sigmas ``(n, q)``; see :func:`~orthoglide.fit.least_squares.fitted_basis`.
         first: first reading of each group under equal conditions, ascending.
     """
     errors = visible_free_form_errors(problem)
@@ -166,15 +168,11 @@ def _jump_candidates(
 ) -> Iterator[FreeForm]:
     """Yield free-form errors with a jump, at the moments that explain most of the residuals.
 
-    With r and s the residual and the step in sigmas, and V the root of the hat matrix of all that
-    is fitted, a step explains ``(s^T (1 - V V^T) r)^2 / (s^T (1 - V V^T) s)`` of chi2. A step
-    between two mountings of a dial, for example, is mostly explained by their datums. The rounding
-    error that visits share is neglected here.
+    A step between two mountings of a dial, for example, is mostly explained by their datums.
     """
     moments = np.concatenate([_moments(f.readings)[0] for f in problem.factors])
     order = np.argsort(moments, kind="stable")[::-1]  # sums from the end are those after a moment
-    whitened = residual / problem.sigma
-    whitened = (whitened - fitted @ (fitted.T @ whitened))[order]
+    whitened = project_out(fitted, residual / problem.sigma)[order]
     moments, fitted = moments[order], fitted[order]
     cuts = np.flatnonzero(np.diff(moments) < 0)
     levels = [replace(error, kernel=Level()) for error in errors]
@@ -186,10 +184,8 @@ def _jump_candidates(
         allowed = cuts[fewer >= _LEAST_READINGS_BESIDE_JUMP]
         if not len(allowed):
             continue
-        products, squares = np.cumsum(step * whitened), np.cumsum(step**2)
-        explained = np.cumsum(step[:, None] * fitted, axis=0)[allowed]
-        remaining = squares[allowed] - np.sum(explained**2, axis=1)
-        gain = products[allowed] ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
+        products, squares = np.cumsum(step * whitened)[allowed], np.cumsum(step**2)[allowed]
+        gain = _chi2_gain(products, squares, np.cumsum(step[:, None] * fitted, axis=0)[allowed])
         between = (moments[allowed] + moments[allowed + 1]) / 2
         # A drive loses a step while it moves, once between two readings; a screw loosens at any
         # time. Half of the prior is uniform over the pauses, half proportional to their durations.
@@ -225,20 +221,33 @@ def _bump_candidates(
     levels = [replace(of_part[0], kernel=Level()) for of_part in by_part.values()]
     parts = [machine.model.leg_conditions({}, f.conditions()) for f in problem.factors]
     rows_of = _columns_of_factors(problem, x, levels, problem.factors)
-    whitened = residual / problem.sigma
-    whitened = whitened - fitted @ (fitted.T @ whitened)
+    whitened = project_out(fitted, residual / problem.sigma)
     for of_part, rows in zip(by_part.values(), rows_of, strict=True):
         leg = of_part[0].leg
         u = np.concatenate([c[leg].over_stroke(c[leg].nominal_travel) for c in parts])
         shapes = np.column_stack([bump.kernel.functions(u)[0] for bump in of_part])
         columns = shapes * rows / problem.sigma[:, None]
         stations = [len(np.unique(problem.station[shape > 0.5])) for shape in shapes.T]
-        remaining = np.sum(columns**2, axis=0) - np.sum((fitted.T @ columns) ** 2, axis=0)
-        gain = (columns.T @ whitened) ** 2 / np.maximum(remaining, _LEAST_SIGNAL**2)
+        gain = _chi2_gain(columns.T @ whitened, np.sum(columns**2, axis=0), columns.T @ fitted)
         gain[np.array(stations) < _LEAST_BUMP_STATIONS] = 0.0
         for k in descending(gain, LOG_ODDS_MARGIN)[:_MOST_BUMPS]:
             if gain[k] > 0:
                 yield of_part[k]
+
+
+def _chi2_gain(products: Array, squares: Array, components: Array) -> Array:
+    """Return the chi2 that each column s explains beside all that is fitted ``(k,)``.
+
+    With r the residual and V the fitted columns it is ``(s^T (1 - V V^T) r)^2 / (s^T s - |V^T
+    s|^2)``, in sigmas. The rounding error that visits share is neglected.
+
+    Args:
+        products: ``s^T (1 - V V^T) r`` ``(k,)``.
+        squares: ``s^T s`` ``(k,)``.
+        components: ``V^T s`` ``(k, q)``.
+    """
+    remaining = squares - np.sum(components**2, axis=1)
+    return np.asarray(products**2 / np.maximum(remaining, _LEAST_SIGNAL**2))
 
 
 def free_form_columns_of_factor(

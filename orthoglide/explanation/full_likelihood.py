@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.faults import Rows
+from orthoglide.fit.least_squares import rounding
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 
@@ -25,12 +26,10 @@ Scales = tuple[float, float]
 """Background scales of the parameters, in tolerances, and of the free-form errors."""
 
 WIDEST_DATUM = 1e-2
-"""Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians."""
+"""Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians:
+half the range of a dial."""
 
-# Added to the diagonal of 1 + A^T A, relative to its largest entry, so that rounding of the largest
-# sums keeps it positive definite. S, whose condition is far worse, gets n times the epsilon.
-_SUM_ROUNDING = 1e-15
-_ROUNDING = 1e-12  # added to the diagonal of blocks of S^-1, which is 1 or less
+_ROUNDING = 1e-12  # of entries of S^-1, which are 1 or less: sums of some thousand products
 
 
 class Deletion(NamedTuple):
@@ -67,9 +66,9 @@ class FullLikelihood:
     # its instruments, in prior standard deviations (m, q)
     columns: Array
     residual: Array  # (n,)
+    group: NDArray[np.int64]  # row of each reading (n,)
     scales: Scales
     square: Array | None = None  # ``S`` or ``1 + A^T A``, see ``_square``, if it is known
-    group: NDArray[np.int64] | None = None  # group of each reading (n,); absent if none are equal
 
     @classmethod
     def from_linear_model(cls, model: LinearisedModel, scales: Scales) -> FullLikelihood:
@@ -84,21 +83,20 @@ class FullLikelihood:
             nuisance.weighing.whiten(
                 model.problem.measured - model.value_at_zero - expected[group]
             ),
+            group,
             scales,
-            group=group,
         )
 
     @cached_property
-    def _groups(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Row of each reading ``(n,)``, and number of readings of each row ``(m,)``."""
-        group = np.arange(len(self.residual)) if self.group is None else self.group
-        return group, np.bincount(group)
+    def _counts(self) -> NDArray[np.int64]:
+        """Number of readings of each row ``(m,)``."""
+        return np.bincount(self.group)
 
     def _normalised_sums(self, readings: Array) -> Array:
         """Return the normalised sums ``(m, ...)`` of whitened readings ``(n, ...)`` of one row."""
-        group, count = self._groups
-        order, starts = np.argsort(group, kind="stable"), np.cumsum(count) - count
-        return np.asarray((np.add.reduceat(readings[order], starts, axis=0).T / np.sqrt(count)).T)
+        order, count = np.argsort(self.group, kind="stable"), self._counts
+        sums = np.add.reduceat(readings[order], np.cumsum(count) - count, axis=0)
+        return np.asarray((sums.T / np.sqrt(count)).T)
 
     @cached_property
     def _is_wide(self) -> bool:
@@ -120,9 +118,7 @@ class FullLikelihood:
     @cached_property
     def _cholesky(self) -> Array:
         """Cholesky factor of ``_square``."""
-        square = self._square.copy()
-        rounding = len(square) * np.finfo(float).eps if self._is_wide else _SUM_ROUNDING
-        square[np.diag_indices_from(square)] += rounding * square.diagonal().max(initial=0.0)
+        square = self._square + rounding(self._square)
         return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
 
     @cached_property
@@ -138,10 +134,10 @@ class FullLikelihood:
 
     def _weighted(self, residual: Array) -> Array:
         """Return ``S^-1`` times a residual ``(n,)``."""
-        sums, (group, count) = self._normalised_sums(residual), self._groups
+        sums = self._normalised_sums(residual)
         product = self._root @ (self._root.T @ sums)
         explained = sums - product if self._is_wide else product
-        return np.asarray(residual - (explained / np.sqrt(count))[group])
+        return np.asarray(residual - (explained / np.sqrt(self._counts))[self.group])
 
     def log_likelihood(self, change: Array) -> Array:
         """Return the log likelihood ``(h,)`` of readings with changes ``(n, h)``, metres."""
@@ -162,9 +158,10 @@ class FullLikelihood:
         weighted = self._weighted_as_read
         if change is not None and change.any():
             weighted = self._weighted(self.residual + self.weighing.whiten(change))
-        group, total = self._groups
-        present, of_row, count = np.unique(group[rows], return_inverse=True, return_counts=True)
-        share, no_noise = np.sqrt(count / total[present]), np.eye(len(present))
+        present, of_row, count = np.unique(
+            self.group[rows], return_inverse=True, return_counts=True
+        )
+        share, no_noise = np.sqrt(count / self._counts[present]), np.eye(len(present))
         block = self._root[present] @ self._root[present].T
         hat = no_noise - block if self._is_wide else block
         inverse_block = (1 + _ROUNDING) * no_noise - share[:, None] * hat * share
@@ -186,13 +183,13 @@ class FullLikelihood:
         """Return the likelihood with other columns of the machine ``(k, C)``, nuisances and
         residual ``(k,)`` of whole setups, all in metres.
         """
-        whiten, (group, total) = self.weighing.subset(rows).whiten, self._groups
-        present, first = np.unique(group[rows], return_index=True)
+        whiten = self.weighing.subset(rows).whiten
+        present, first = np.unique(self.group[rows], return_index=True)
         changed = np.pad(self.columns, [(0, 0), (0, instruments.shape[1])])
         changed[present] = 0.0
         changed[present, : columns.shape[1]] = whiten(columns)[first]
         changed[present, self.columns.shape[1] :] = whiten(instruments)[first]
-        changed[present] *= np.sqrt(total[present])[:, None]
+        changed[present] *= np.sqrt(self._counts[present])[:, None]
         residuals = self.residual.copy()
         residuals[rows] = whiten(residual)
         square = None

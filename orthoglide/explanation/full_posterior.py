@@ -18,12 +18,13 @@ from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.fault_columns import FaultKey, with_exact_size
 from orthoglide.explanation.faults import Fault
-from orthoglide.explanation.linear_model import Group
-from orthoglide.explanation.mixture import LEAST_PROBABILITY, AveragedMoments, Mixture
+from orthoglide.explanation.linear_model import TWENTY_TO_ONE, Group
+from orthoglide.explanation.mixture import LEAST_PROBABILITY, Mixture
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.factors import NuisanceBlock
 from orthoglide.fit.least_squares import linearise_placed, nuisances
 from orthoglide.fit.notes import tolerance_notes
+from orthoglide.fit.problem import MAX_TOLERANCES
 from orthoglide.fit.solving import make_estimate, solve, widen_priors
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
@@ -32,11 +33,7 @@ from orthoglide.notes import Note
 from orthoglide.ordering import best_of
 from orthoglide.parameters import Parameter
 
-_LINEARISATIONS = 3
-_DECISIVE_LOG_BAYES_FACTOR = 3.0
-"""Log Bayes factor (twenty to one) that decides between a base beyond its tolerances and all other
-causes; below it both are reported."""
-
+_LINEARISATIONS = 3  # at most: 6 changed no result
 _CONVERGED = 0.1
 """Root mean square, in sigmas of a reading, by which the prediction may still differ from its
 linearisation: 0.01 of chi2 per reading, negligible for any cause."""
@@ -46,13 +43,14 @@ _NOT_LINEAR = 1.25
 off by all their tolerances reach 1.1; causes mistaken for a wrong command reach 1.3 and more."""
 
 _COMMAND_CONVERGED = 2e-6
-"""Metres: a change of a wrong command's estimate below this counts as converged."""
+"""Metres: a smaller change of a wrong command's estimate, a tenth of the usual scatter of a dial,
+counts as converged."""
 
 _LEAST_PRIOR_VARIANCE = 1e-10
 """Squared tolerances: prior variance up to which a parameter is represented by its twin."""
 
-_DETECTABLE_TOLERANCES, _DETECTABLE_SIGMAS = 3.0, 3.0
-"""A parameter is invisible if three tolerances of it change all readings by under three sigmas."""
+_DETECTABLE_SIGMAS = 3.0
+"""A parameter is invisible if the largest plausible error changes all readings by less."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,9 +108,11 @@ class FullPosterior:
         return np.where(of_dial, 0.0, (self.mean * self.linearised.units)[:count])
 
     @cached_property
-    def moments(self) -> AveragedMoments:
-        """Mean and covariance averaged over all explanations, in units of the coefficients."""
-        return self.mixture.averaged_moments(self.linearised.parameter_count)
+    def averaged_covariances(self) -> tuple[Array, Array]:
+        """Posterior and prior covariance averaged over all explanations ``(C, C)``, in units of the
+        coefficients.
+        """
+        return self.mixture.averaged_covariances(self.linearised.parameter_count)
 
     @cached_property
     def covariance(self) -> Array:
@@ -126,7 +126,7 @@ class FullPosterior:
         missing_variance = max(1 - min(self.background_scale, 1.0) ** 2, 1e-6)
         prior_precision = np.eye(translations.shape[1]) / missing_variance
         added = np.linalg.inv(prior_precision + signatures.T @ signatures)
-        covariance = self.moments.covariance.copy()
+        covariance = self.averaged_covariances[0].copy()
         covariance[:count, :count] += translations @ added @ translations.T
         return covariance
 
@@ -155,7 +155,8 @@ class FullPosterior:
     @property
     def background_scale(self) -> float:
         """Posterior mean scale of inactive effects, in tolerances."""
-        return self.mixture.mean_background_scale
+        mixture = self.mixture
+        return float(mixture.by_scale @ [s.background_scale for s in mixture.scales])
 
     @cached_property
     def invisible(self) -> tuple[Parameter, ...]:
@@ -172,7 +173,7 @@ class FullPosterior:
             of_plate, key = catalogue[name.effect].of_body, (name.effect, name.direction)
             copies = [k for k, n in enumerate(names)
                       if n == name or (of_plate and (n.effect, n.direction) == key)]  # fmt: skip
-            return _DETECTABLE_TOLERANCES * float(np.linalg.norm(columns[:, copies].sum(axis=1)))
+            return MAX_TOLERANCES * float(np.linalg.norm(columns[:, copies].sum(axis=1)))
 
         return tuple(n for n in model.excited_parameters if signal(n) < _DETECTABLE_SIGMAS)
 
@@ -214,7 +215,7 @@ class FullPosterior:
     @cached_property
     def after(self) -> Estimate:
         """Estimate at the posterior mean, scored, with the learned prior in place of tolerances."""
-        linearised, mixture, prior = self.linearised, self.mixture, self.moments.prior
+        linearised, mixture, prior = self.linearised, self.mixture, self.averaged_covariances[1]
         count, units = linearised.parameter_count, linearised.units
         values, vectors = np.linalg.eigh(prior[:count, :count])
         sd = np.sqrt(np.maximum(values, 1e-12 * values.max()))  # of rounding at least
@@ -331,9 +332,9 @@ def full_posterior(
     log_bayes_factor = wide.evidence - narrow.evidence
     # A part far beyond its tolerance is as improbable beforehand as any other cause.
     prior_log_odds_against = wide.before.problem.widened_parts * wide.mixture.cause_cost
-    if log_bayes_factor > max(_DECISIVE_LOG_BAYES_FACTOR, prior_log_odds_against):
+    if log_bayes_factor > max(TWENTY_TO_ONE, prior_log_odds_against):
         return wide
-    undecided = log_bayes_factor > -_DECISIVE_LOG_BAYES_FACTOR
+    undecided = log_bayes_factor > -TWENTY_TO_ONE
     return replace(narrow, alternative=wide_fit if undecided else None)
 
 

@@ -9,11 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 
 from orthoglide.errors import InputError, check_choice
+from orthoglide.explanation.assumed_noise import check_scatter, with_refuted_noise_enlarged
 from orthoglide.explanation.credible_faults import credible_faults
 from orthoglide.explanation.faults import fault_message
 from orthoglide.explanation.full_posterior import posterior_with_corrected_commands
 from orthoglide.explanation.recalibration import account_for_changes
-from orthoglide.explanation.repeats import check_scatter, with_refuted_noise_enlarged
 from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_tables
 from orthoglide.fit.crosscheck import verify

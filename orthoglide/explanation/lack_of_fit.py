@@ -39,7 +39,7 @@ _RELIABLE_NOISE_DOF = 30.0
 quarter, so that noise larger than the repeats show is not rare; ``p_value`` allows for that."""
 
 _STOPPED = "nothing else stands out of the noise and of the background of small errors"
-_SUFFICIENT_P_VALUE = 0.05  # from which an explanation fits, and no other one is tried
+_SUFFICIENT_P_VALUE = 0.05  # far above SIGNIFICANT: an explanation fits, no other is tried
 
 
 def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackOfFit:

@@ -30,9 +30,12 @@ _UNSEEN = 1e-6
 _LEAST_DIRECTION = 1e-2
 """Sigmas: directions of the readings that all coefficients together move by less are left out."""
 
-RARE_LOG_PRIOR = -3.0
-"""Log prior weight of a background beyond all tolerances, and of noise larger than repeats show:
-one in twenty each."""
+TWENTY_TO_ONE = 3.0
+"""Log odds that decide a comparison, and that a rare hypothesis has against it beforehand: those of
+a 95 % credible set."""
+
+RARE_LOG_PRIOR = -TWENTY_TO_ONE
+"""Log prior weight of a background beyond all tolerances, and of noise larger than repeats show."""
 
 FREE_FORM_SCALES = (0.003, 0.03, 0.1, 0.3)
 """Scales of the inactive free functions, in their units."""
@@ -134,7 +137,7 @@ class LinearModel:
     station_remainder: StationRemainder = NO_REMAINDER
     # log prior odds of each slab, relative to equal probabilities; empty if they are equal
     slab_log_odds: tuple[float, ...] = ()
-    max_active: int = 6  # active groups in one state
+    max_active: int = 6  # active groups in one state: 9 changed no result
     # noise of unknown size; the search then has one background alone, of one tolerance
     unknown_noise: UnknownNoise | None = None
 

@@ -8,7 +8,6 @@ regression*, whose credible sets these are).
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
 
@@ -28,25 +27,13 @@ from orthoglide.machine_file import symmetric_root
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest, ranked
 
 _NEGLIGIBLE = 1e-4  # weight below which a state is left out of averages
-_MOST_TERMS = 60  # most states and scales in an average
+_MOST_TERMS = 60  # states and scales in an average: 240 changed no result
 _LEAST_RELATIVE_WEIGHT = 0.05  # of a likely explanation, over that of the likeliest
-_MOST_LIKELY_STATES = 8  # most likely explanations
+_MOST_LIKELY_STATES = 8  # explanations that are tested: 16 changed no result
 _CHILD_LOG_WEIGHT_RANGE = 12  # below the best log weight: a child of less weighs under 1e-5 of it
 
 LEAST_PROBABILITY = 0.05
 """Least probability of a free-form error that enters the calibrated machine."""
-
-
-@dataclass(frozen=True, eq=False)
-class AveragedMoments:
-    """Moments of the coefficients, averaged over all explanations."""
-
-    mean: Array  # (C,)
-    # (C, C); zero outside the first `count` coefficients and the groups that are active in the best
-    # state or more probable than LEAST_PROBABILITY
-    covariance: Array
-    # prior covariance, averaged with the same posterior weights, zero in the same entries (C, C)
-    prior: Array
 
 
 class Mixture(Search):
@@ -101,11 +88,6 @@ class Mixture(Search):
     def by_scale(self) -> Array:
         """Probability of each scale ``(scales,)``."""
         return np.asarray(np.sum(list(self.weights.values()), axis=0))
-
-    @property
-    def mean_background_scale(self) -> float:
-        """Posterior mean scale of the catalogue, in tolerances."""
-        return float(self.by_scale @ [s.background_scale for s in self.scales])
 
     @property
     def _least_flexible_scales(self) -> NDArray[np.bool_]:
@@ -172,7 +154,7 @@ class Mixture(Search):
     def moments_if_sound(self, state: State, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state on a sound machine."""
         sound = self._sound_scales
-        logs = self._log_weights(state, self._past_active(state))[sound]
+        logs = self._log_weights(state, self._partial_products(state))[sound]
         return self.moments(state, self.scales[sound[largest(logs, LOG_ODDS_MARGIN)]], index)
 
     @property
@@ -230,7 +212,7 @@ class Mixture(Search):
         """Return posterior and prior variance of coefficients in the best state ``(k,)``."""
         scale = self._likeliest_scale(self.best)
         prior = scale.spike[index] + np.sum(self._slab_root(self.best)[index] ** 2, axis=1)
-        return np.diag(self._covariance(self.best, scale, index)), prior
+        return np.diag(self._covariances(index)(self.best, scale)), prior
 
     def _likeliest_scale(self, state: State) -> Scale:
         """Return the scale of largest weight in a state."""
@@ -261,11 +243,11 @@ class Mixture(Search):
             Size by group; the group that explains most comes first.
         """
         smaller = self.without(group)
-        past_active = self._past_active(smaller)
-        explained = self._gains(past_active)[0][0, :, -1]
+        partial = self._partial_products(smaller)
+        explained = self._gains(partial)[0][0, :, -1]
         unknown_noise, noise_variance = self.linear.unknown_noise, 1.0
         if unknown_noise is not None:
-            explained_with = past_active.explained[0] + explained[group]
+            explained_with = partial.explained[0] + explained[group]
             noise_variance = unknown_noise.variance(float(explained_with))
         fits_nearly_as_well = explained >= explained[group] - rise * noise_variance
         fits_nearly_as_well[[g for g, _ in self.best]] = False
@@ -282,12 +264,12 @@ class Mixture(Search):
         state, and the additional standard deviation from other states that contain the group.
         """
         index = self.linear.groups[group].coefficients
-        mean, covariance = self.likeliest_moments(self.best, index)
-        size, variance = float(mean[index[0]]), float(covariance[0, 0])
-        added = total = 0.0
+        covariance, best_scale = self._covariances(index), self._likeliest_scale(self.best)
+        size = float(self._mean(self.best, best_scale)[index[0]])
+        variance, added, total = float(covariance(self.best, best_scale)[0, 0]), 0.0, 0.0
         for (weight, state, scale), other_mean in zip(self._terms, self._means, strict=True):
             if any(g == group for g, _ in state):
-                other_variance = float(self._covariance(state, scale, index)[0, 0])
+                other_variance = float(covariance(state, scale)[0, 0])
                 shift = float(other_mean[index[0]]) - size
                 added += weight * (other_variance - variance + shift**2)
                 total += weight
@@ -296,7 +278,7 @@ class Mixture(Search):
 
     def moments(self, state: State, scale: Scale, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` of some coefficients in a state."""
-        return self._mean(state, scale), self._covariance(state, scale, index)
+        return self._mean(state, scale), self._covariances(index)(state, scale)
 
     def _mean(self, state: State, scale: Scale) -> Array:
         """Return the mean of all coefficients in a state at a scale ``(C,)``."""
@@ -306,24 +288,21 @@ class Mixture(Search):
         products = scale.products_with_columns(shrink_along(shrunk_once, left, shrink))
         return np.asarray(scale.spike * products + slab_root @ (slab_root.T @ products))
 
-    def _covariance(self, state: State, scale: Scale, index: NDArray[np.intp]) -> Array:
-        """Return the covariance of some coefficients in a state at a scale ``(k, k)``."""
-        left, shrink = self._active_directions(scale, state)
-        columns = shrink_along(scale.columns, left, shrink)
-        slab_root = self._slab_root(state)
-        # Prior covariance: diagonal of the spike, plus the slabs of the active groups.
-        explained = columns * scale.spike + (columns @ slab_root) @ slab_root.T
-        prior = np.diag(scale.spike[index]) + slab_root[index] @ slab_root[index].T
-        noise_variance, unknown_noise = 1.0, self.linear.unknown_noise
-        if unknown_noise is not None:
-            explained_chi2 = self._past_active(state).explained[0]
-            noise_variance = unknown_noise.variance(float(explained_chi2))
-        return np.asarray(noise_variance * (prior - explained[:, index].T @ explained[:, index]))
-
     def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
         """Return a function of state and scale: the covariance of some coefficients ``(k, k)``."""
-        covariance = marginal_covariances(self.linear, index)
-        return lambda state, scale: covariance(scale, self._slab_root(state))
+        covariance, unknown_noise = (
+            marginal_covariances(self.linear, index),
+            self.linear.unknown_noise,
+        )
+
+        def covariance_in(state: State, scale: Scale) -> Array:
+            noise_variance = 1.0
+            if unknown_noise is not None:
+                explained = self._partial_products(state).explained[0]
+                noise_variance = unknown_noise.variance(float(explained))
+            return noise_variance * covariance(scale, self._slab_root(state))
+
+        return covariance_in
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
@@ -368,11 +347,12 @@ class Mixture(Search):
             drawn[in_term] = weights @ self._means[k] + normal[in_term] @ root.T
         return drawn
 
-    def averaged_moments(self, count: int) -> AveragedMoments:
-        """Return the moments of the coefficients, averaged over states and scales.
+    def averaged_covariances(self, count: int) -> tuple[Array, Array]:
+        """Return the posterior and the prior covariance of the coefficients ``(C, C)``, averaged
+        over states and scales.
 
-        The covariance covers the first ``count`` coefficients, and others whose group is active
-        with a probability above ``LEAST_PROBABILITY``.
+        They cover the first ``count`` coefficients, and those of `likely_groups`; other entries are
+        zero.
         """
         spans = [group.coefficients for group in self.likely_groups]
         index = np.unique(np.concatenate([np.arange(count), *spans]).astype(int))
@@ -385,4 +365,4 @@ class Mixture(Search):
             slab_root = self._slab_root(state)[index]
             prior[block] += weight * (np.diag(scale.spike[index]) + slab_root @ slab_root.T)
         second_moment[block] -= np.outer(self.mean[index], self.mean[index])
-        return AveragedMoments(self.mean, second_moment, prior)
+        return second_moment, prior

@@ -14,18 +14,20 @@ from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
+# The first comparison, at equal taus and few backgrounds, is right to some log odds. With each of
+# these doubled, or four times the pairs, no result changed.
 _NEAR_LOG_ODDS = 4.0  # below the best pair, within which pairs are compared on the whole grid
 _MOST_PAIRS = 40  # most such pairs
-_NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus, from which taus are negligible
+_NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus: one in 3000
 
 
-class PastActive(NamedTuple):
-    """Inner products of columns given that some groups are active, at all scales of the background;
-    see `Search`.
+class PartialProducts(NamedTuple):
+    """Inner products with the active groups partialled out (Frisch and Waugh 1933), at all scales
+    of the background; see `Search`.
     """
 
     components: Array  # of the columns along the active groups (scales, q, n)
-    products: Array  # inner products of the columns and the residual past these (scales, n)
+    products: Array  # partial inner products of the columns and the residual (scales, n)
     explained: Array  # chi2 that the active groups explain (scales,)
     log_det: Array  # log determinant of the covariance that they add (scales,)
 
@@ -33,7 +35,7 @@ class PastActive(NamedTuple):
 def likely_pairs(
     linear: LinearModel,
     crossed: Array,
-    past_active: PastActive,
+    partial: PartialProducts,
     log_weights: Array,
     cost: Array,
     coarse_scales: NDArray[np.bool_],
@@ -43,7 +45,7 @@ def likely_pairs(
     Args:
         linear: the readings.
         crossed: inner products of the columns of the causes ``(scales, n, n)``.
-        past_active: of these columns.
+        partial: inner products of these columns, given the active groups.
         log_weights: without a pair ``(scales,)``.
         cost: log odds against each cause being active ``(n,)``; infinite for excluded ones.
         coarse_scales: mask of scales at which all pairs are compared ``(scales,)``.
@@ -56,7 +58,7 @@ def likely_pairs(
     coarse = np.flatnonzero(coarse_scales)
     if not len(first) or not len(coarse):
         return
-    components, products, explained_before, _ = past_active
+    components, products, explained_before, _ = partial
     slabs, odds = linear.slab_scales, linear.log_odds_by_slab
     square = np.diagonal(crossed, axis1=1, axis2=2) - (components**2).sum(axis=1)
 
@@ -73,9 +75,9 @@ def likely_pairs(
         likelihood = linear.log_likelihood_gain(explained, explained_before[at])
         return likelihood - np.log(determinant) / 2 + odds[tau_i] + odds[tau_j]
 
-    # First all pairs at equal taus and few background scales, which is right to some log odds.
-    past = components[coarse]
-    cross = (crossed[coarse] - past.transpose(0, 2, 1) @ past)[:, first, second]
+    # First all pairs at equal taus and few background scales.
+    along = components[coarse]
+    cross = (crossed[coarse] - along.transpose(0, 2, 1) @ along)[:, first, second]
     table = np.stack([gain(coarse, (first, second), cross, (tau, tau)) for tau in slabs])
     table += log_weights[coarse, None]
     top = table.max(axis=(0, 1))  # faster than by logaddexp

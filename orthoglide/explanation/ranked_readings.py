@@ -13,12 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.errors import NumericsError
-from orthoglide.explanation.alternative_readings import EXPECTED_COUNT, RowsBySetup
+from orthoglide.errors import InputError, NumericsError
+from orthoglide.explanation.alternative_readings import EXPECTED_COUNT, RowsBySetup, level_readings
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
-from orthoglide.explanation.faults import Fault, Rows, setups_of
+from orthoglide.explanation.faults import Fault, Rows, setups_of, weighted_rows
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
     Deletion,
@@ -27,19 +27,19 @@ from orthoglide.explanation.full_likelihood import (
     in_standard_deviations,
 )
 from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
+from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Estimate, Problem, solve
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.geometry import Array
+from orthoglide.observations import source
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 
 _MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
-_MOST_RANKED = 3  # alternatives that are searched in full
-
-_MISREADING_MARGIN = 3.0
-"""Log odds by which a misreading must be likelier: its prior probability is a guess."""
+_MOST_RANKED = 3  # alternatives that are searched in full: 6 changed no result
 
 BACKGROUND_SCALES: Sequence[Scales] = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
-"""Backgrounds under which misreadings of dials are ranked."""
+"""Backgrounds under which misreadings of dials are ranked: a sound machine, a usual one, one off by
+all its tolerances, and one with free-form errors everywhere."""
 
 
 def fit_nested(problem: Problem) -> Estimate:
@@ -66,14 +66,15 @@ def likeliest_misreading(
         background_scales: under which alternatives are ranked.
     """
     best: tuple[float, Fault | None]
-    best = max(posterior.evidence, other_evidence) + _MISREADING_MARGIN, None
+    # Decisively, as the prior probability of a misreading is a guess.
+    best = max(posterior.evidence, other_evidence) + TWENTY_TO_ONE, None
     least = max(other_evidence - posterior.evidence, 0.0)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
     ):
         # A search finds more to explain in the readings as they stand, where a misreading is left,
         # than in those with it corrected: the ranked odds are hardly ever exceeded by the final.
-        if posterior.evidence + log_odds + _MISREADING_MARGIN < best[0]:
+        if posterior.evidence + log_odds + TWENTY_TO_ONE < best[0]:
             break
         try:
             corrected = with_faults_corrected(base.problem, [alternative])
@@ -84,6 +85,40 @@ def likeliest_misreading(
             candidate = other.evidence + alternative.log_odds, alternative
             best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
     return best[1]
+
+
+_LEVEL_SCALES: Sequence[Scales] = ((5.0, 0.003),)
+"""Background of levels: what turns the platform is often off by many tolerances, and must not count
+against an interpretation."""
+
+
+def check_levels(estimate: Estimate) -> None:
+    """Refuse readings of levels that are far likelier with another interpretation than as they
+    stand, both at their base fits.
+
+    Zeros and leg lengths do not turn the platform, so the base model fits such readings equally
+    well, and causes that turn it are found for them. Only the evidence of the full model prefers
+    the correct interpretation.
+
+    Raises:
+        InputError: names file and setups, the interpretation, and what to do.
+    """
+    problem = estimate.problem
+    setups = np.unique(problem.setup_of_row[problem.angular]).tolist()
+    if not setups:
+        return
+    readings, posterior = level_readings(problem), posterior_at_base_fit(estimate)
+    rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
+    found = likeliest_misreading(
+        estimate, posterior, [*readings.values()], rows_by_setup, background_scales=_LEVEL_SCALES
+    )
+    if found is not None:
+        files = [source(f.readings) for f in problem.factors for _ in f.readings.setups]
+        names = "; ".join(f"{files[s]}, setup {problem.setups[s].name!r}" for s in setups)
+        clause = next(clause for clause, fault in readings.items() if fault is found)
+        raise InputError(
+            f"{names}: the readings of the level have a far likelier machine, and fit it, {clause}"
+        )
 
 
 def _rank(
@@ -181,7 +216,6 @@ HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
 
 _DIVISION_RANGE = (40, 300)  # fewest and most divisions of a turn
 _USUAL_DIVISIONS = (100, 200)  # divisions of most dials
-_UNUSUAL_PENALTY = 3.0  # log odds against other divisions
 _ROUNDS = 4  # corrections of the turns
 _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
 
@@ -265,10 +299,10 @@ def _joint_turns(likelihood: FullLikelihood, rows: RowsBySetup, turn: float) -> 
 
 def _log_count_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
     """Return the log number of equally plausible ways in which a setup is off by turns: all
-    readings within one turn, or each station by its own number of turns.
+    readings within one turn, or each station by its own number of turns. Unusual dials are rare.
     """
     divisions = turn / max(float(problem.resolution[rows].max()), 1e-300)
-    unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else _UNUSUAL_PENALTY
+    unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else TWENTY_TO_ONE
     stations, first = np.unique(problem.station[rows], return_index=True)
     whole = np.abs(off[first]) / turn
     by_station = np.log(2 * len(stations) * whole[whole > 0]).sum()

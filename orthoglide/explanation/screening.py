@@ -22,12 +22,12 @@ from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
-_KEPT_PER_KIND = 10  # faults kept of each kind, for each background
+_KEPT_PER_KIND = 10  # faults kept of each kind, for each background: 20 changed no result
 _SCREENING_MARGIN = 5.0
 """Log odds that a fault may lack to be active alone: another fault may hide as much of it."""
 
 _BACKGROUNDS = (0.003, 0.1, 1.0)  # tolerances: each may hide or imitate a data fault
-_MOST_DENSE_NUMBERS = 2e6  # size of the faults' columns, above which they are scored sparsely
+_MOST_DENSE_NUMBERS = 2e6  # 16 MB of columns of faults, above which they are scored sparsely
 
 
 def screen_data_faults(
@@ -69,20 +69,20 @@ def screen_data_faults(
         if dense:
             scaled = columns * sd
             root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
-            past = solve_triangular(root, whitened_residual, lower=True)
-            past_columns = solve_triangular(root, fault_columns, lower=True)
-            blocks = np.split(past_columns.T, ends[:-1])
-            scored = [(block.reshape(len(s), -1, len(past)), past)
+            remaining = solve_triangular(root, whitened_residual, lower=True)
+            whitened_columns = solve_triangular(root, fault_columns, lower=True)
+            blocks = np.split(whitened_columns.T, ends[:-1])
+            scored = [(block.reshape(len(s), -1, len(remaining)), remaining)
                       for s, block in zip(suspects, blocks, strict=True)]  # fmt: skip
         else:
             precision = sd[:, None] * gram * sd + np.eye(len(sd))
-            past = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
-            past = past - nuisance.explained_residual(past)
+            remaining = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
+            remaining = remaining - nuisance.explained_residual(remaining)
             # That other coefficients can imitate a fault is neglected, as for few columns among
             # many readings.
             weight = 1 / problem.reading_sd
-            past = past * weight
-            scored = [((s.columns * weight[s.rows, None]).transpose(0, 2, 1), past[s.rows])
+            remaining = remaining * weight
+            scored = [((s.columns * weight[s.rows, None]).transpose(0, 2, 1), remaining[s.rows])
                       for s in suspects]  # fmt: skip
         gains = np.concatenate([_log_bayes_factors(*each) for each in scored])
         chosen.update(_best_of_each_kind(kinds, gains, cost - _SCREENING_MARGIN))

@@ -30,12 +30,12 @@ from orthoglide.explanation.linear_model import (
     left_singular,
     scale_grid,
 )
-from orthoglide.explanation.pairs import PastActive, likely_pairs
+from orthoglide.explanation.pairs import PartialProducts, likely_pairs
+from orthoglide.fit.least_squares import rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
 
-_MOST_FOR_TRIPLES = 6  # active groups of which three may be exchanged for two others
-_SUM_ROUNDING = 1e-15  # of the trace, added to a diagonal so that rounding keeps it positive
+_MOST_FOR_TRIPLES = 6  # active groups of which three are exchanged: 12 changed no result
 
 State = tuple[tuple[int, float], ...]
 """Active groups by index, each with its tau."""
@@ -187,12 +187,12 @@ class Search:
             return []
         self.child_log_weights(state)
         singles, states = self._single_groups, list[State]()
-        past_active = self._past_active(state, self._first_column[singles])
-        weights, matters = self.visited[state], self._may_matter(state, past_active)
+        partial = self._partial_products(state, self._first_column[singles])
+        weights, matters = self.visited[state], self._may_matter(state, partial)
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])
         for i, tau, j, other_tau, log_weights in likely_pairs(
-            self.linear, self._crossed, past_active, weights, cost, self._coarse_scales & matters
+            self.linear, self._crossed, partial, weights, cost, self._coarse_scales & matters
         ):
             pair = (int(singles[i]), tau), (int(singles[j]), other_tau)
             states.append(tuple(sorted((*state, *pair))))
@@ -221,41 +221,40 @@ class Search:
         return child
 
     def _expand(self, state: State) -> Array:
-        past_active = self._past_active(state)
+        partial = self._partial_products(state)
         if state not in self.visited:
-            self.visited[state] = self._log_weights(state, past_active)
-        explained, occam = self._gains(past_active)
-        table = self.linear.log_likelihood_gain(explained, past_active.explained) - occam
+            self.visited[state] = self._log_weights(state, partial)
+        explained, occam = self._gains(partial)
+        table = self.linear.log_likelihood_gain(explained, partial.explained) - occam
         table += list(self.linear.log_odds_by_slab.values()) - self.cost[:, None]
         table += self.visited[state][:, None, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
 
-    def _log_weights(self, state: State, past_active: PastActive) -> Array:
+    def _log_weights(self, state: State, partial: PartialProducts) -> Array:
         """Return the log weights of a state ``(scales,)``."""
-        odds, explained = self.linear.log_odds_by_slab, past_active.explained
+        odds, explained = self.linear.log_odds_by_slab, partial.explained
         prior_cost = sum(self.cost[g] - odds.get(tau, 0.0) for g, tau in state)
-        log_z = np.array([s.log_z for s in self.scales]) - past_active.log_det / 2 - prior_cost
+        log_z = np.array([s.log_z for s in self.scales]) - partial.log_det / 2 - prior_cost
         gain = self.linear.log_likelihood_gain(explained, np.zeros(len(explained)))
         return np.asarray(log_z + gain)
 
-    def _gains(self, past_active: PastActive) -> tuple[Array, Array]:
-        """Return what each group explains of chi2 past the active ones, and its Occam factor.
+    def _gains(self, partial: PartialProducts) -> tuple[Array, Array]:
+        """Return what each group explains of chi2 beside the active ones, and its Occam factor.
 
         Both ``(scales, groups, taus)``; the second is half the log determinant.
         """
         shape = len(self.scales), len(self.linear.groups), len(self.linear.slab_scales)
         explained, occam = np.zeros(shape), np.zeros(shape)
-        components, products, *_ = past_active
+        components, products, *_ = partial
         chi2 = self._chi2[:, None]
         for size, members in self._by_size.items():
             index = np.array([self._columns_of_group[g] for g in members])
             parts = components[:, :, index].transpose(0, 2, 3, 1)
             gram = self._gram_matrices(size, index)
+            # If active groups have an equal signature, rounding may make the difference negative.
             remaining = gram - parts @ parts.transpose(0, 1, 3, 2)
-            # If active groups have an equal signature, rounding may make this negative.
-            rounding = 1e-13 * np.trace(gram, axis1=2, axis2=3)
-            remaining[..., range(size), range(size)] += rounding[..., None]
+            remaining += rounding(gram)
             for t, tau in enumerate(self.linear.slab_scales):
                 gains = explained_by_group(remaining, products[:, index], chi2, tau)
                 explained[:, members, t], occam[:, members, t] = gains
@@ -268,11 +267,11 @@ class Search:
         noises = sorted({s.noise for s in self.scales})[::2]
         return np.array([s.free_form_scale == least and s.noise in noises for s in self.scales])
 
-    def _may_matter(self, state: State, past_active: PastActive) -> NDArray[np.bool_]:
+    def _may_matter(self, state: State, partial: PartialProducts) -> NDArray[np.bool_]:
         """Return at which scales a state with more groups may have any weight ``(scales,)``: they
         explain no more than the remaining chi2.
         """
-        bound = self.visited[state] + (self._chi2 - past_active.explained) / 2
+        bound = self.visited[state] + (self._chi2 - partial.explained) / 2
         known_noise = self.linear.unknown_noise is None
         return np.asarray(
             (bound > self.log_weight(self.best) - NEGLIGIBLE_LOG_WEIGHT) | (not known_noise)
@@ -293,25 +292,25 @@ class Search:
         blocks = (s.some_group_columns(index) for s in self.scales)
         return np.stack([columns.T @ columns for columns in blocks])
 
-    def _past_active(self, state: State, at: NDArray[np.intp] | slice = slice(None)) -> PastActive:
-        """Project group columns past the active groups: those of the indices ``at``, or all.
+    def _partial_products(
+        self, state: State, at: NDArray[np.intp] | slice = slice(None)
+    ) -> PartialProducts:
+        """Partial the active groups out of group columns: those of the indices ``at``, or all.
 
         With ``L L^T = 1 + B^T B`` of the columns B of the active groups, each times its tau, the
-        inner product of columns past them is ``a^T b - (L^-1 B^T a)^T (L^-1 B^T b)``.
+        partial inner product of columns is ``a^T b - (L^-1 B^T a)^T (L^-1 B^T b)``.
         """
         active, taus = self._active_columns(state)
         residual, no_rows = self._residual_products, (len(self.scales), 0, self._column_count)
         of_groups = [np.zeros(no_rows), *(self._products_with(group) for group, _ in state)]
         rows = np.concatenate(of_groups, axis=1)
         square = taus[:, None] * rows[:, :, active] * taus
-        rounding = _SUM_ROUNDING * np.trace(square, axis1=1, axis2=2)
-        square[:, range(len(taus)), range(len(taus))] += 1.0 + rounding[:, None]
-        root = np.linalg.cholesky(square)
+        root = np.linalg.cholesky(square + np.eye(len(taus)) + rounding(square))
         inverse = np.linalg.solve(root, np.diag(taus))
         components, of_residual = inverse @ rows[:, :, at], inverse @ residual[:, active, None]
         products = residual[:, at] - (of_residual.transpose(0, 2, 1) @ components)[:, 0]
         log_det = 2 * np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
-        return PastActive(components, products, (of_residual**2).sum(axis=(1, 2)), log_det)
+        return PartialProducts(components, products, (of_residual**2).sum(axis=(1, 2)), log_det)
 
     def _active_columns(self, state: State) -> tuple[NDArray[np.intp], Array]:
         """Return the indices of the columns of the active groups ``(q,)``, and the tau of each."""

@@ -1,4 +1,4 @@
-"""Signatures of all effects at a fitted machine, past what the fit itself explains.
+"""Signatures of all effects at a fitted machine, with what the fit itself explains projected out.
 
 With a candidate's signature S at its tolerance (whitened, projected) and the residual r, the
 Gaussian prior of the tolerance gives the candidate's gain and evidence:
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.explanation.candidates import Candidate, candidates
+from orthoglide.explanation.linear_model import left_singular, shrink_along
 from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Estimate, with_effects_freed
 from orthoglide.fit.excitation import excited_effects
@@ -53,8 +54,8 @@ class Signatures:
         effect together, whose covariance is ``1 + U diag(s^2) U^T``.
         """
         background = self.columns * (BACKGROUND * self.tolerance)
-        u, s, _ = np.linalg.svd(background, full_matrices=False)
-        return np.asarray(vectors + u @ ((1 / np.sqrt(1 + s**2) - 1)[:, None] * (u.T @ vectors)))
+        left, singular = left_singular(background)
+        return shrink_along(vectors, left, 1 - 1 / np.sqrt(1 + singular**2))
 
     def signature(self, candidate: Candidate) -> Array:
         """Return the signature of a candidate at its tolerance ``(m, size)``."""

@@ -8,12 +8,10 @@ import numpy as np
 
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.fit import Problem
+from orthoglide.fit.problem import MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
-
-_REPLACED_TOLERANCES = 3.0
-"""Tolerances of a parameter by which readings and tool must not distinguish it from its twin."""
 
 _TRANSLATION_LIMIT = 1e-6  # metres: least change of shape of what is no translation
 
@@ -49,7 +47,8 @@ def twins(
 ) -> dict[Parameter, tuple[tuple[Parameter, float], ...]]:
     """Return the twins of each parameter: later ones with equal effects on readings and tool.
 
-    Each twin comes with the value that is equivalent to one unit of the parameter.
+    Each twin comes with the value that is equivalent to one unit of the parameter. Not even the
+    largest plausible errors may differ by a sigma, or move the tool differently by half of one.
 
     Args:
         full_problem: has ``P`` unknowns; those of dials have no twins.
@@ -81,9 +80,7 @@ def twins(
             continue
         in_readings = np.linalg.norm(shown[:, j] - factor * shown[:, i])
         in_tool = np.linalg.norm(tool[:, j] - factor * tool[:, i])
-        equal = (
-            _REPLACED_TOLERANCES * in_readings < 1.0 and _REPLACED_TOLERANCES * in_tool < noise / 2
-        )
+        equal = MAX_TOLERANCES * in_readings < 1.0 and MAX_TOLERANCES * in_tool < noise / 2
         if equal and min(copies_of[plain[j]]) >= base_count:
             replaced.add(j)
             for name in (plain[i], *(names[k] for k in copies_of[plain[i]])):

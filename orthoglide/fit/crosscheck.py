@@ -121,7 +121,7 @@ def _second_order_bound(
     """Return an upper bound of the weighted rms difference, metres, between the readings of the
     nonlinear fit and of system (11).
 
-    All vectors are whitened and projected past the nuisances. With f(x) = J0 x + e and residual q
+    All vectors are whitened, with the nuisances projected out. With f(x) = J0 x + e and residual q
     of the nonlinear fit, the linear fit is P0 (f + q), P0 the projection on the linear system's
     columns: the difference is (1 - P0) e - P0 q, no longer than |e| + |P0 q|.
 

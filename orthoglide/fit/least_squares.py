@@ -72,7 +72,9 @@ def linearise_placed(problem: Problem, x: Array) -> tuple[Problem, Linearised]:
 
 
 def project_out(basis: Array, rows: Array) -> Array:
-    """Return rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``."""
+    """Return rows ``(m, ...)`` without their part along orthonormal columns ``(m, q)``, or rows
+    ``V`` of such columns: with the hat matrix ``V V^T`` of a fit, the residual of these rows.
+    """
     return np.asarray(rows - basis @ (basis.T @ rows))
 
 
@@ -126,7 +128,7 @@ class Nuisances:
         return Nuisances(self.columns[first], self.precision, weighing)
 
     def project(self, rows: Array) -> Array:
-        """Return rows ``(n, ...)``, whitened and projected past the nuisances ``(n + k, ...)``."""
+        """Return rows ``(n, ...)``, whitened, with the nuisances projected out ``(n + k, ...)``."""
         return whiten_and_project(self.weighing, self.basis, rows)
 
     def explained_residual(self, residual: Array) -> Array:
@@ -321,3 +323,14 @@ def explained_by_two(
     """
     spread = np.maximum(first * second - cross**2, 1.0)
     return (x**2 * second + y**2 * first - 2 * x * y * cross) / spread, spread
+
+
+_SUM_ROUNDING = 1e-15  # of a sum of squares, relative to it: some machine epsilons
+
+
+def rounding(gram: Array) -> Array:
+    """Return what keeps Gram matrices ``(..., q, q)``, or differences of them and smaller ones,
+    positive definite although their sums are rounded: a multiple of the identity.
+    """
+    trace = np.asarray(np.trace(gram, axis1=-2, axis2=-1))
+    return np.asarray(_SUM_ROUNDING * trace[..., None, None] * np.eye(gram.shape[-1]))

@@ -37,7 +37,8 @@ NoiseSource = Literal["declared", "machine", "repeats", "usual"]
 figure of a kind."""
 
 NO_WEIGHT = 1e6
-"""Factor on the standard deviation of a reading without weight."""
+"""Factor on the standard deviation of a reading without weight: of a million million such readings,
+the information of one."""
 
 PUBLISHED_REPEATABILITY = LegDial.repeatability
 """Metres: the repeatability stated in 2008, section 4.1; the default."""

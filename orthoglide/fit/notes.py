@@ -208,7 +208,6 @@ def _line_list(readings: Readings, lines: tuple[int, ...]) -> str:
 
 # The size of printed parts ------------------------------------------------------------------
 
-_MAX_SIZE_SIGMAS = 2.0  # sigmas: one part in twenty is off by more, if nothing is wrong
 _SIZE_ADVICE = (
     "the rods, the drives (belt pitch, microsteps), the part or the calliper cause the remainder: "
     "measure a rod between its holes, 100 mm of a carriage's travel, and a gauge "
@@ -246,6 +245,6 @@ def _part_size_note(problem: Problem, factor: Factor) -> Note:
         f"{with_sigma(abs(size) * 1e2, sigma * 1e2)} % {'longer' if size > 0 else 'shorter'} "
         f"than the tool's moves; {_MEAN_SIZE_SENTENCE.format(with_sigma(mean * 1e2, sd * 1e2))}"
     )
-    beyond = abs(scale) > _MAX_SIZE_SIGMAS * float(np.hypot(sigma, sd))
+    beyond = abs(scale) > CERTAIN_SIGMAS * float(np.hypot(sigma, sd))
     unexplained = beyond and not machine.spec.measured.rods
     return Note(f"{text}: {_SIZE_ADVICE}" if unexplained else text, "size")

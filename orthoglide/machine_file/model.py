@@ -306,6 +306,11 @@ class MachineFile:
             return DeltaKinematics(self.geometry.centres, np.full(3, self.geometry.L))
         return self.printer.kinematics
 
+    @property
+    def meshes_relative(self) -> bool:
+        """Whether the heights of one list of touches have no common zero with those of another."""
+        return self.printer is None or self.printer.meshes_relative
+
     def __post_init__(self) -> None:
         if self.name == MachineFile.name and self.geometry.layout != ORTHOGLIDE:
             object.__setattr__(self, "name", default_machine_name(self.geometry))

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orthoglide.geometry import Array, fit_plane, plane_columns
-from orthoglide.machine_file import DeltaKinematics, MachineFile
+from orthoglide.machine_file import DeltaKinematics
 from orthoglide.notes import Note
 from orthoglide.numerals import plain
 from orthoglide.observations.readings import Readings
@@ -60,19 +60,8 @@ class PlateMove:
         return f"at equal commands the plate of {self.setup} {' and '.join(clauses)}"
 
 
-def file_disagreements(
-    spec: MachineFile, campaigns: Sequence[Readings]
-) -> Iterator[tuple[str, str, Note]]:
-    """Yield the disagreements of lists of touches at a machine; none where its controller's
-    kinematics are unknown.
-    """
-    if spec.kinematics is not None:
-        relative = spec.printer is None or spec.printer.meshes_relative
-        yield from disagreements(spec.kinematics, campaigns, relative=relative)
-
-
 def disagreements(
-    kinematics: DeltaKinematics, campaigns: Sequence[Readings], *, relative: bool
+    kinematics: DeltaKinematics | None, campaigns: Sequence[Readings], *, relative: bool
 ) -> Iterator[tuple[str, str, Note]]:
     """Yield the names of two lists of touches whose heights differ at common places, and a note.
 
@@ -80,10 +69,12 @@ def disagreements(
     Otherwise it is ``apart``: the plate or the controller's numbers differ.
 
     Args:
-        kinematics: of the controller.
+        kinematics: of the controller; without them nothing is compared.
         campaigns: readings; each list is compared with those before it.
         relative: whether the heights of a list have no common zero with those of another.
     """
+    if kinematics is None:
+        return
     agreed = list[Readings]()
     for campaign in campaigns:
         for other in agreed:

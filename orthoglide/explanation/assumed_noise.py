@@ -1,5 +1,5 @@
-"""The noise of repeats, before the search: instruments that scatter too much, outlying repeats, and
-noise that was declared too large or too small.
+"""Tests of the assumed noise by repeats, before the search: instruments that scatter too much,
+outlying repeats, and noise that was declared too large or too small.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from orthoglide.observations.repetition import repeat_rows, repeat_steps
 from orthoglide.ordering import best_of
 
 _LEAST_NOISE_SQUARE = 1e-4  # least ratio of squared noise: computed readings have none
-_ROUNDS = 6  # rounds of leaving out outliers
+_ROUNDS = 6  # rounds of leaving out outliers: 12 changed no result
 
 _SCATTER_LIMIT, _SCATTER_LIMIT_OF_TOOL = 3.0, 10.0
 """Ratios to the expected scatter of a dial, and of an instrument at the tool, beyond which repeats
 are not noise. If the noise was declared, the second applies to dials too, relative to all dials."""
 
-_FEWEST_DIFFERENCES = 10  # fewest differences of repeats that decide on the scatter
+_FEWEST_DIFFERENCES = 10  # that decide on the scatter: their deviation is known to a third
 
 _OUTLIER_RATIO = 4.0
 """Ratio to the robust scatter beyond which a difference is an outlier: chance 1 in 16 000."""
