@@ -96,6 +96,12 @@ class Parameter(str):
         """The name without its campaign."""
         return self.at("")
 
+    @property
+    def undirected(self) -> Parameter:
+        """The name without its direction, which a sine and its cosine share."""
+        member = "common" if self.member.endswith(".common") else self.member
+        return Parameter(self.effect, self.leg, "", self.setup, member, self.campaign)
+
     def at(self, campaign: str) -> Parameter:
         """Return the name specific to a campaign."""
         if campaign == self.campaign:

@@ -62,12 +62,17 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
     """
     groups: dict[tuple[str, ...], dict[Parameter, float]] = {}
     catalogue, marks = machine.catalogue, []
+    of_setups: dict[Parameter, list[float]] = {}
     for name, value in values.items():
-        effect = catalogue.effect_of(name)
-        if effect.of_dial:
-            size, setup = size_words(effect, value), catalogue.parameter(name).setup
-            part: Part = "plate" if effect.of_body else "dial"
-            marks.append(Mark(part, -1, np.zeros(3), size, setup=setup))
+        if (effect := catalogue.effect_of(name)).of_dial:
+            parameter = catalogue.parameter(name)
+            place = parameter.undirected if effect.paired else parameter
+            of_setups.setdefault(place, []).append(value)
+    for place, sizes in of_setups.items():
+        effect = catalogue.effect_of(place)
+        part: Part = "plate" if effect.of_body else "dial"
+        size = size_words(effect, math.hypot(*sizes))
+        marks.append(Mark(part, -1, np.zeros(3), size, setup=place.setup))
     for p, value in catalogue.elementary_machine_values(values).items():
         direction = "" if catalogue.effect_of(p).paired else p.direction
         groups.setdefault((p.effect, p.leg, direction), {})[p] = value

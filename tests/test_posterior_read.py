@@ -9,17 +9,20 @@ import numpy as np
 import pytest
 
 from orthoglide.effects import CATALOGUE
-from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.credible_sets import _CredibleSetReader
 from orthoglide.explanation.linear_model import Group
 from orthoglide.explanation.mixture import Mixture
+from orthoglide.parameters import Parameter
 
 NONE = np.zeros(0, dtype=np.intp)
 
 
 def claimed(odds: list[float], free: list[bool]) -> Any:
     """What is claimed of groups with these probabilities, the last that of nothing."""
-    groups = tuple(Group(f"g{k}", NONE, np.zeros((0, 1)), f) for k, f in enumerate(free))
+    groups = tuple(
+        Group(name, NONE, np.zeros((0, 1)), f, source=None if f else SimpleNamespace(name=name))
+        for f, name in ((f, Parameter(f"g{k}")) for k, f in enumerate(free))
+    )
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
 
     class Reader(_CredibleSetReader):
@@ -76,21 +79,17 @@ def test_a_name_is_given_where_a_place_is_unlikely(
     assert claimed(odds, free)[0] == kind
 
 
-def test_waves_of_a_leg_are_one_cause_and_the_likeliest_comes_first() -> None:
-    names = ("axis_tilt.y.z", "screw_error.x.sin", "screw_error.x.cos", "screw_error.x")
-    parts = ([0], [1], [2], [1, 2])
-    single = [CATALOGUE.parameter(name) for name in names[:3]]
-    several = [
-        Candidate(name, name.partition(".")[0], tuple(single[k] for k in own), ())
-        for name, own in zip(names, parts, strict=True)
-    ]
-    groups = [SimpleNamespace(source=one) for one in several]
+def test_the_parts_of_a_pair_are_one_cause() -> None:
+    names = ("axis_tilt.y.z", "screw_error.x.sin", "screw_error.x.cos", "plate_trefoil.bed.cos",
+             "plate_trefoil.other.sin")  # fmt: skip
+    shared = (Parameter("screw_error", "x"), Parameter("plate_trefoil", setup="bed"))
+    names = (*map(CATALOGUE.parameter, names), *shared)
+    groups = [SimpleNamespace(name=name, source=SimpleNamespace(name=name), free_form=False,
+                              of_data=False) for name in names]  # fmt: skip
     mixture = SimpleNamespace(linear=SimpleNamespace(groups=groups))
-    machine = SimpleNamespace(catalogue=CATALOGUE)
-    reader = _CredibleSetReader(SimpleNamespace(mixture=mixture, machine=machine))
-    found = reader._merge_by_cause([(0, 0.4), (1, 0.3), (2, 0.2), (3, 0.1)])
-    assert [k for k, _ in found] == [1, 0]
-    assert [p for _, p in found] == pytest.approx([0.6, 0.4])
+    reader = _CredibleSetReader(SimpleNamespace(mixture=mixture))
+    pooled = reader._pool_pairs(np.array([0.3, 0.1, 0.2, 0.15, 0.05, 0.1, 0.1]))
+    assert pooled == pytest.approx([0.3, 0.0, 0.0, 0.0, 0.05, 0.4, 0.25])
 
 
 def test_the_covariance_has_what_explanations_differ_by() -> None:

@@ -10,7 +10,8 @@ errors included. An effect of a dial changes the reading instead, see :class:`Di
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -57,7 +58,9 @@ class Effect:
         words: sentences for a fitted value, and the test on the machine that confirms it.
         group: ``structure``, ``drive``, ``temperature``, ``load``, ``dial``, ``plate`` or
             ``part``.
-        paired: whether the parameters of a leg are one cause, as a sine with its cosine.
+        paired: whether the parameters of a leg or setup are one cause, as a sine and its cosine.
+        lobes: number of high sides around the plate, of an effect of a plate with a cosine and a
+            sine of that many times the angle.
         instead_of: a condition that explains it better: the effect is a candidate only where
             that condition was not recorded.
         controller: which number of a controller corrects it, if any.
@@ -80,6 +83,7 @@ class Effect:
     words: Words = field(default_factory=Words)
     group: Group = "structure"
     paired: bool = False
+    lobes: int = 0
     instead_of: Condition | None = None
     controller: ControllerEntry | None = None
     urdf: bool = False
@@ -119,6 +123,20 @@ class Effect:
     def shapes(self) -> dict[str, Shape]:
         """Shapes of a plate by the suffix of the parameter's name."""
         return dict(self.plate)
+
+    def high_side(self, values: Mapping[str, float]) -> float:
+        """Return the direction of a high side of a plate, degrees counter-clockwise from +x.
+
+        Args:
+            values: of its shapes ``"cos"`` and ``"sin"``; an absent one is zero.
+
+        Returns:
+            The smallest direction that is not negative; nan for an effect without lobes.
+        """
+        if not self.lobes:
+            return math.nan
+        phase = math.degrees(math.atan2(values.get("sin", 0.0), values.get("cos", 0.0)))
+        return phase / self.lobes % (360 / self.lobes)
 
     @property
     def tolerance_si(self) -> float:

@@ -42,14 +42,16 @@ PLATE_TREFOIL = Effect(
     sentence="the plate has three high and three low sides",
     look_at="the plate turned by 60 degrees on its seat: a pattern of its own turns with it",
     words=Words(
-        "the plate{of_setup} has three lobes {size} high at its rim, one of them toward {lobe} "
-        "degrees",
+        "the plate{of_setup} has three lobes {size} high at its rim, one of them toward "
+        "{high_side} degrees",
         "the plate{of_setup} has three high and three low sides",
         "the plates have three high and three low sides",
         confirm="turn the plate{of_setup} by 60 degrees and measure again: expect its three lobes "
-        "of {size} at the rim to turn with it: low toward {lobe} degrees",
+        "of {size} at the rim to turn with it: low toward {high_side} degrees",
     ),
     group="plate",
+    paired=True,
+    lobes=3,
     plate=(
         ("cos", lambda x, y: x**3 - 3 * x * y**2),
         ("sin", lambda x, y: 3 * x**2 * y - y**3),
@@ -64,14 +66,16 @@ PLATE_SADDLE = Effect(
     sentence="the plate is a saddle",
     look_at="the plate with a straight edge in several directions across its middle",
     words=Words(
-        "the plate{of_setup} is a saddle: its rim stands {size} high toward {ridge} degrees, and "
-        "low square to that",
+        "the plate{of_setup} is a saddle: its rim stands {size} high toward {high_side} degrees, "
+        "and low square to that",
         "the plate{of_setup} is a saddle",
         "the plates are saddles",
-        confirm="lay a straight edge across the plate{of_setup} toward {ridge} degrees: expect a "
-        "gap of {size} under its middle",
+        confirm="lay a straight edge across the plate{of_setup} toward {high_side} degrees: expect "
+        "a gap of {size} under its middle",
     ),
     group="plate",
+    paired=True,
+    lobes=2,
     plate=(("cos", lambda x, y: x**2 - y**2), ("sin", lambda x, y: 2 * x * y)),
 )
 

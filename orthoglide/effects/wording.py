@@ -10,7 +10,7 @@ from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Clause, across, filled, quantity, rotation_sense, toward
 from orthoglide.layout import DIRECTIONS, LegNames, LinearDelta
 from orthoglide.numerals import MINUS, compact
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, split_campaign
 
 _DISPLAY_UNITS = {"mm": "mm", "rad": "mrad", "1": "%"}
 _ABOUT = {"a": " about the legs' own axes", "b": " about their pivots"}
@@ -21,25 +21,24 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
 
     Args:
         catalogue: catalogue that contains the effect.
-        name: name of the cause: a parameter, a structured member, an effect, or the paired
-            parameters of one leg (``screw_error.x``).
+        name: name of the cause: a parameter, a structured member, an effect, or what paired
+            parameters share (``screw_error.x``).
         values: identified values by parameter, SI.
     """
     effect, parameter = _resolve_name(catalogue, name)
     suffix = _campaign_suffix(parameter, name)
-    if name in values and parameter is not None:
+    parts = {n: v for n, v in values.items() if name in (n, catalogue.parameter(n).undirected)}
+    if parameter is not None and parts:
+        value, high_side = size_and_high_side(catalogue, parts)
         if parameter.member == "common" and effect.words.common is not None:
-            text = _clause(effect, effect.words.common, parameter, values[name])
+            text = _clause(effect, effect.words.common, parameter, value)
         elif parameter.member:
-            pattern = effect.names.in_layout_words(_pattern(effect, parameter, values[name]))
+            pattern = effect.names.in_layout_words(_pattern(effect, parameter, value))
             text = f"{_clause_of_all(effect)}, {pattern}"
         else:
-            text = value_words(effect, parameter, values[name])
+            text = value_words(effect, parameter, value, high_side)
         return text + suffix
     of_name = {n: v for n, v in values.items() if n.startswith(f"{name.split('@')[0]}.")}
-    if effect.paired and of_name and name != effect.name:  # a sine and a cosine of one leg
-        first = catalogue.parameter(next(iter(of_name)))
-        return value_words(effect, first, math.hypot(*of_name.values())) + suffix
     if not of_name:
         return _clause_of_all(effect) + suffix
     extremes = (f(of_name.values(), key=abs) for f in (min, max))
@@ -47,30 +46,59 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
     return f"{_clause_of_all(effect)}, from {smallest} to {largest}{suffix}"
 
 
+def size_and_high_side(catalogue: Catalogue, values: Mapping[str, float]) -> tuple[float, float]:
+    """Return the size of one parameter or pair, and the direction of a high side of a plate.
+
+    Args:
+        catalogue: catalogue that contains the effect.
+        values: identified values of its parameters, SI.
+
+    Returns:
+        The value, of a pair its amplitude, SI; and degrees as of `Effect.high_side`.
+    """
+    by_direction = {}
+    for name, value in values.items():
+        effect, parameter = _resolve_name(catalogue, name)
+        by_direction[parameter.direction if parameter is not None else name] = value
+    size = math.hypot(*by_direction.values()) if effect.paired else value
+    return size, effect.high_side(by_direction)
+
+
 def cause_short(catalogue: Catalogue, name: str) -> str:
     """Return the clause of a cause without its size."""
     effect, parameter = _resolve_name(catalogue, name)
     suffix = _campaign_suffix(parameter, name)
-    if parameter is None and name != effect.name:  # the paired parameters of one leg
-        parameter = next(p for p in effect.motions if p.startswith(f"{name.split('@')[0]}."))
     if parameter is not None and not parameter.member:
         return _clause_without_size(effect, parameter) + suffix
     member = parameter.member if parameter is not None else ""
     return f"{_clause_of_all(effect)}{_short_pattern(effect, member)}{suffix}"
 
 
-def value_words(effect: Effect, parameter: Parameter, value: float) -> str:
-    """Return the clause of one parameter with its value, SI."""
+def value_words(
+    effect: Effect, parameter: Parameter, value: float, high_side: float | None = None
+) -> str:
+    """Return the clause of one parameter with its value, SI, or of a pair with its amplitude.
+
+    Args:
+        effect: its effect.
+        parameter: the parameter, or what those of a pair share.
+        value: SI.
+        high_side: of the pair of a plate, degrees; by default that of the parameter alone.
+    """
     if effect.words.one is not None:
-        return _clause(effect, effect.words.one, parameter, value)
+        return _clause(effect, effect.words.one, parameter, value, high_side)
     size = _signed_size_or_amplitude(effect, value)
     return f"{_clause_without_size(effect, parameter)}, by {size}"
 
 
-def confirm_words(effect: Effect, parameter: Parameter, value: float) -> str:
-    """Return a test on the machine that confirms a cause, with the reading to expect."""
+def confirm_words(
+    effect: Effect, parameter: Parameter, value: float, high_side: float | None = None
+) -> str:
+    """Return a test on the machine that confirms a cause, with the reading to expect; arguments as
+    of `value_words`.
+    """
     if effect.words.confirm is not None:
-        return _clause(effect, effect.words.confirm, parameter, value)
+        return _clause(effect, effect.words.confirm, parameter, value, high_side)
     size = _signed_size_or_amplitude(effect, value)
     return f"look at {effect.look_at}: expect {'an amplitude of ' * effect.paired}{size}"
 
@@ -139,15 +167,17 @@ def grouped_by_effect(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _resolve_name(catalogue: Catalogue, name: str) -> tuple[Effect, Parameter | None]:
-    """Return the effect of a name, and its parameter or structured member; ``None`` in place of the
-    latter for a whole effect and for the pair of one leg.
+    """Return the effect of a name, and its parameter, its structured member or what the parameters
+    of a pair share; ``None`` in place of these for a whole effect.
     """
     effect = catalogue.effect_of(name)
-    plain = name.plain if isinstance(name, Parameter) else name.split("@")[0]
-    legs = {p.leg for p in effect.motions}
-    if plain == effect.name or (effect.paired and plain in {f"{effect.name}.{k}" for k in legs}):
+    plain, campaign = split_campaign(name)
+    if plain == effect.name:
         return effect, None
-    parameter = catalogue.parameter(name)
+    pairs = [Parameter(effect.name, leg) for leg in effect.names.legs] if effect.paired else []
+    pairs += [Parameter(effect.name, member="common")] * effect.paired
+    pair = next((p.at(campaign) for p in pairs if p == plain), None)
+    parameter = pair or catalogue.parameter(name)
     if parameter.member and effect.of_body:  # one plate or part, in whatever setups it was read
         shape = parameter.member.rpartition(".")[0]
         parameter = Parameter(effect.name, direction=shape, campaign=parameter.campaign)
@@ -160,12 +190,18 @@ def _campaign_suffix(parameter: Parameter | None, name: str) -> str:
 
 
 def _clause(
-    effect: Effect, clause: Clause, parameter: Parameter, value: float | None = None
+    effect: Effect,
+    clause: Clause,
+    parameter: Parameter,
+    value: float | None = None,
+    high_side: float | None = None,
 ) -> str:
     """Return a clause of an effect for a parameter and its value; ``None`` without a size."""
     if isinstance(clause, str):
         size = "" if value is None else size_words(effect, value)
-        text = filled(clause, parameter, value or 0.0, size)
+        if high_side is None:
+            high_side = effect.high_side({parameter.direction: value or 0.0})
+        text = filled(clause, parameter, value or 0.0, size, high_side)
     elif value is None:
         text = clause(parameter)
     else:

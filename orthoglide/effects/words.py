@@ -94,13 +94,6 @@ def _hinge_axis(parameter: Parameter) -> str:
     return f"{letter}, {axis}"
 
 
-def _high_side(parameter: Parameter, value: float, count: int) -> int:
-    """Return the direction of a high side of a plate that has several, from +x, counter-clockwise,
-    degrees.
-    """
-    return ((parameter.direction == "sin") * 90 + (value < 0) * 180) // count
-
-
 _BLANKS: Mapping[str, Callable[[Parameter, float], Any]] = {
     "leg": lambda p, v: p.leg,
     "setup": lambda p, v: p.setup,
@@ -112,9 +105,10 @@ _BLANKS: Mapping[str, Callable[[Parameter, float], Any]] = {
     "along": lambda p, v: along(p.leg, p.direction),
     "axis": lambda p, v: _hinge_axis(p),
     "sense": lambda p, v: rotation_sense(p.direction, v, p.leg in LinearDelta.names.legs),
-    "ridge": lambda p, v: _high_side(p, v, 2),
-    "lobe": lambda p, v: _high_side(p, v, 3),
 }
+
+
+_ALL_BLANKS = ("size", *_DISPLAY_FACTORS, *_BLANKS, "high_side")
 
 
 @dataclass(frozen=True)
@@ -124,10 +118,13 @@ class _Blanks:
     parameter: Parameter
     value: float
     size: str
+    high_side: float
 
     def __getitem__(self, blank: str) -> Any:
         if blank == "size":
             return self.size
+        if blank == "high_side":
+            return f"{self.high_side:.0f}"
         if blank in _DISPLAY_FACTORS:
             return _Multiple(self.value, blank)
         if blank in _BLANKS:
@@ -136,7 +133,7 @@ class _Blanks:
         if not bar:
             raise InputError(
                 f"the words of an effect have the blank {{{blank}}}: use "
-                f"{', '.join(('size', *_DISPLAY_FACTORS, *_BLANKS))}, or two words, {{more|less}}"
+                f"{', '.join(_ALL_BLANKS)}, or two words, {{more|less}}"
             )
         return sign_word(self.value, positive, negative)
 
@@ -145,15 +142,17 @@ Clause = str | Callable[..., str]
 """A text with blanks, or a function that returns the text."""
 
 
-def filled(text: str, parameter: Parameter, value: float, size: str = "") -> str:
-    """Return a text with its blanks filled from a parameter, its value, SI, and the text of its
-    size; see `Words`.
+def filled(
+    text: str, parameter: Parameter, value: float, size: str = "", high_side: float = 0.0
+) -> str:
+    """Return a text with its blanks filled from a parameter, its value, SI, the text of its size,
+    and the direction of a high side, degrees; see `Words`.
 
     Raises:
         InputError: for an unknown blank, or braces that are none.
     """
     try:
-        return text.format_map(_Blanks(parameter, value, size))
+        return text.format_map(_Blanks(parameter, value, size, high_side))
     except InputError:
         raise
     except (AttributeError, IndexError, ValueError) as error:
@@ -171,7 +170,7 @@ class Words:
     one; ``{size}`` of its value; ``{mm}``, ``{mrad}``, ``{µm}`` and ``{%}``, the value in another
     unit, ``{mm:0.1}`` a tenth of it; ``{more|less}``, one of two words by its sign; and by its
     direction ``{toward}`` and ``{away}``, ``{across}`` without sign, ``{along}`` to set a square,
-    ``{axis}`` with ``{sense}`` of a rotation, and ``{ridge}`` or ``{lobe}`` of a plate, degrees.
+    ``{axis}`` with ``{sense}`` of a rotation, and ``{high_side}`` of a plate, degrees.
 
     Attributes:
         one: clause for one parameter and its value, SI, with sign, size and unit.

@@ -24,7 +24,7 @@ from orthoglide.parameters import Parameter
 class Candidate:
     """A cause that may be added to the model."""
 
-    name: str  # as `axis_tilt.y.z`, `axis_tilt.cyclic`, `axis_tilt` or `screw_error.x`
+    name: Parameter  # as `axis_tilt.y.z`, `axis_tilt.cyclic`, `axis_tilt` or `screw_error.x`
     effect: str  # name of its effect
     parameters: tuple[Parameter, ...]  # that it frees, as `with_free` takes them
     weights: tuple[Mapping[str, float], ...]  # of elementary unknowns, for each of `parameters`
@@ -54,8 +54,9 @@ def candidates(
     for effect in effects:
         effect_names = [n for n in names if n.effect == effect.name]
         list_parts = _plate_candidates if effect.of_body else _part_candidates
-        parts = list_parts(effect, effect_names, catalogue)
-        for candidate in (*parts, *_family_candidates(effect, effect_names)):
+        parts = tuple(list_parts(effect, effect_names, catalogue))
+        pairs = _pair_candidates(parts) if effect.paired else ()
+        for candidate in (*parts, *pairs, *_family_candidates(effect, effect_names)):
             # Equal weights under two names would be one cause twice.
             weights_key = (sorted((str(n), w) for n, w in c.items()) for c in candidate.weights)
             by_weights.setdefault(repr(sorted(weights_key)), candidate)
@@ -99,20 +100,29 @@ def _part_candidates(
                 yield Candidate(cause, effect.name, parameters, copies)
 
 
+def _pair_candidates(parts: Sequence[Candidate]) -> Iterator[Candidate]:
+    """Yield the pairs of a paired effect: parts that differ in their direction alone."""
+    pairs: dict[Parameter, list[Candidate]] = {}
+    for part in parts:
+        pairs.setdefault(part.name.undirected, []).append(part)
+    for name, pair in pairs.items():
+        parameters, weights = (
+            tuple(each for part in pair for each in getattr(part, what))
+            for what in ("parameters", "weights")
+        )
+        yield Candidate(name, pair[0].effect, parameters, weights)
+
+
 def _family_candidates(effect: Effect, names: list[Parameter]) -> list[Candidate]:
-    """Return a whole effect and, if a leg has several of its parameters, those of each leg."""
+    """Return a whole effect, if its patterns do not represent it."""
     if effect.of_dial or len(names) < 2:
         return []
     # If all legs have the same directions, the common patterns represent the whole effect.
     has_patterns = len({n.direction for n in names}) > 1 and effect.names.same_directions
-    blocks = {} if has_patterns else {effect.name: names}
-    if effect.paired:
-        for name in names:
-            blocks.setdefault(f"{effect.name}.{name.leg}", []).append(name)
-    return [
-        Candidate(name, effect.name, tuple(members), tuple({m: 1.0} for m in members))
-        for name, members in blocks.items()
-    ]
+    if has_patterns:
+        return []
+    whole = Parameter(effect.name)
+    return [Candidate(whole, effect.name, tuple(names), tuple({m: 1.0} for m in names))]
 
 
 _LEAST_SIGNAL = 0.1

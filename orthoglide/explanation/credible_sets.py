@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.accuracy import tcp_slopes
 from orthoglide.effects.free_form import FreeForm
@@ -101,12 +102,26 @@ class _CredibleSetReader:
         """Indices of the groups that are causes of the catalogue."""
         return [k for k, g in enumerate(self.groups) if not g.free_form and not g.of_data]
 
+    @cached_property
+    def _pair_of(self) -> NDArray[np.intp]:
+        """Index of the pair to which each group belongs, or else its own: a sine and a cosine are
+        one cause at any phase ``(groups,)``.
+        """
+        index, pair_of = {g.name: k for k, g in enumerate(self.groups)}, np.arange(len(self.groups))
+        for k in self._cause_groups:
+            pair_of[k] = index.get(self.groups[k].source.name.undirected, k)
+        return pair_of
+
+    def _pool_pairs(self, probabilities: Array) -> Array:
+        """Return probabilities by group, those of the parts of a pair added to that of the pair."""
+        return np.bincount(self._pair_of, probabilities, len(self.groups)).astype(float)
+
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
         declared = self.groups[member].name in given
         errors = {k: group.source for k, group in enumerate(self.groups) if group.free_form}
         odds = self.posterior.alternatives.probabilities(member)[:-1]
-        odds, ranges = pool_variants(odds, errors)
+        odds, ranges = pool_variants(self._pool_pairs(odds), errors)
         if declared:
             odds = np.eye(len(odds))[member]
         if odds.sum() < LEAST_CLAIMED_PROBABILITY:
@@ -148,8 +163,10 @@ class _CredibleSetReader:
         if self.posterior.background_scale < _LEAST_BACKGROUND or table.max(initial=0.0) <= 0:
             return ()
         log_weights = table[self._cause_groups]
-        probabilities = np.exp(log_weights - log_weights.max()).sum(axis=1)
-        probabilities /= probabilities.sum()
+        probabilities = np.zeros(len(self.groups))
+        weights = np.exp(log_weights - log_weights.max()).sum(axis=1)
+        probabilities[self._cause_groups] = weights / weights.sum()
+        probabilities = self._pool_pairs(probabilities)[self._cause_groups]
         order = descending(probabilities)
         explanations = []
         for k in order[: smallest_count(probabilities[order], CREDIBLE)]:
@@ -162,12 +179,13 @@ class _CredibleSetReader:
     def possible_causes(self) -> tuple[Explanation, ...]:
         """Return the most probable causes where none is active, each estimated as the only one."""
         mixture, explanations = self.posterior.mixture, list[Explanation]()
-        order = descending(mixture.inclusion[self._cause_groups])[:_MOST_POSSIBLE]
+        inclusion = self._pool_pairs(mixture.inclusion)
+        order = descending(inclusion[self._cause_groups])[:_MOST_POSSIBLE]
         for k in (self._cause_groups[i] for i in order):
-            if mixture.inclusion[k] < _LEAST_POSSIBLE:
+            if inclusion[k] < _LEAST_POSSIBLE:
                 break
             moments = mixture.likeliest_moments(mixture.child((), k), self.groups[k].coefficients)
-            explanations.append(self._explain(k, float(mixture.inclusion[k]), *moments))
+            explanations.append(self._explain(k, float(inclusion[k]), *moments))
         return tuple(e for e in explanations if e.exceeds_uncertainty)
 
     def _cause(
@@ -175,7 +193,9 @@ class _CredibleSetReader:
     ) -> Cause:
         """Return the credible set of a cause with a name, from its groups and probabilities."""
         explanations, unit_of = list[Explanation](), dict[str, float]()
-        for k, p in self._merge_by_cause([o for o in odds if not self.groups[o[0]].free_form]):
+        for k, p in odds:
+            if self.groups[k].free_form:
+                continue
             moments = self.posterior.alternatives.moments(member, k, self.groups[k].coefficients)
             explanations.append(self._explain(k, p, *moments))
             unit_of[explanations[-1].name] = self.groups[k].unit
@@ -188,19 +208,6 @@ class _CredibleSetReader:
             if other.exceeds_uncertainty:
                 (same if self._same_tool(first, other) else rivals).append(other)
         return Cause(first, tuple(rivals), tuple(same), self._curves(member, odds, ranges))
-
-    def _merge_by_cause(self, odds: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
-        """Merge the groups of one cause on one leg (a wave at any phase); most probable first."""
-        merged: dict[tuple[str, ...], tuple[int, float]] = {}
-        for k, p in odds:
-            candidate = self.groups[k].source
-            effect = self.posterior.machine.catalogue.effect_of(candidate.name)
-            legs = {(n.leg, n.campaign) for n in candidate.parameters}
-            leg = legs.pop() if effect.paired and len(legs) == 1 else ("", "")
-            key = (effect.name, *leg) if leg[0] else (candidate.name,)
-            first, probability = merged.get(key, (k, 0.0))
-            merged[key] = first, probability + p
-        return ranked(merged.values(), lambda group_and_probability: group_and_probability[1])
 
     def _twins(self, explanation: Explanation) -> list[Explanation]:
         """Return an explanation and its twins, which have equal effects on readings and tool."""
@@ -356,9 +363,10 @@ class _CredibleSetReader:
                 if probability > 0:
                     log_odds = np.log(probability) - np.log(max(probabilities[-1], 1e-300))
                     score = float(log_odds + mixture.prior_log_odds_against[k])
-                    scores[k] = max(scores.get(k, -np.inf), score)
+                    pair = int(self._pair_of[k])
+                    scores[pair] = max(scores.get(pair, -np.inf), score)
         for k, score in enumerate(mixture.next_log_bayes_factors().tolist()):
-            scores.setdefault(k, score)
+            scores.setdefault(int(self._pair_of[k]), score)
         scores = {k: score for k, score in scores.items() if not self.groups[k].of_data}
         by_name = sorted(scores, key=lambda k: self.groups[k].name)
         order = ranked(by_name, lambda k: scores[k], LOG_ODDS_MARGIN)[:_MOST_SCORES]
@@ -371,5 +379,5 @@ class _CredibleSetReader:
         else:
             words = cause_short(self.posterior.machine.catalogue, name)
             parameters = source.parameters
-        inclusion = float(self.posterior.mixture.inclusion[k])
+        inclusion = float(self._pool_pairs(self.posterior.mixture.inclusion)[k])
         return CandidateScore(name, parameters, inclusion, score, words)

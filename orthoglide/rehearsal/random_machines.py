@@ -113,11 +113,11 @@ def _draw_effect(scope: Scope, rng: np.random.Generator) -> tuple[str, float, di
     parameter, size = members[int(rng.integers(len(members)))], float(rng.uniform(*EFFECT_SIZES))
     if not effect.paired:
         return str(parameter), size, {str(parameter): size * float(rng.choice([-1.0, 1.0]))}
-    parts = [n for n in members if n.leg == parameter.leg]
+    parts = [n for n in members if n.undirected == parameter.undirected]
     direction = rng.standard_normal(len(parts))
     direction *= size / np.linalg.norm(direction)
     sizes = dict(zip(map(str, parts), direction.tolist(), strict=True))
-    return f"{effect.name}.{parameter.leg}", size, sizes
+    return str(parameter.undirected), size, sizes
 
 
 def _draw_free_form_error(

@@ -9,11 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from orthoglide.effects import Catalogue, Effect
-from orthoglide.effects.wording import cause_words, confirm_words, size_words
+from orthoglide.effects import Catalogue, Effect, wording
 from orthoglide.geometry import Array
 from orthoglide.numerals import SIGMAS_95
-from orthoglide.parameters import split_campaign
+from orthoglide.parameters import Parameter, split_campaign
 from orthoglide.result.codec import SHORT_DIGITS, Key, Share, encoded, in_mm_short
 from orthoglide.result.fits import Scores
 
@@ -66,18 +65,41 @@ class Explanation:
 
     @property
     def value(self) -> float:
-        """Its size in `unit`, of the last campaign if it is specific to each; nan if it has several
-        parameters.
+        """Its size in `unit`, of a pair its amplitude, of the last campaign if it is specific to
+        each; nan if it has several parameters that are no pair.
         """
-        plain_names = {split_campaign(name)[0] for name in self.parameters}
-        size = self.values[self.parameters[-1]] if len(plain_names) == 1 else math.nan
-        return size / self.effect.unit.si
+        return self._size_and_high_side[0] / self.effect.unit.si
 
     @property
     def sigma(self) -> float:
-        """Standard deviation of `value`."""
-        sigma = self.sigmas[self.parameters[-1]] / self.effect.unit.si
-        return sigma if math.isfinite(self.value) else math.nan
+        """Standard deviation of `value`; of a pair to first order, its parts taken as independent,
+        as they are where readings surround the plate or the turn of a screw.
+        """
+        si, names = self.effect.unit.si, self._last_names.values()
+        if not math.isfinite(self.value):
+            return math.nan
+        sizes = {n: self.values[n] if len(self._last_names) > 1 else 1.0 for n in names}
+        weighted = math.hypot(*(size * self.sigmas[n] for n, size in sizes.items()))
+        return weighted / math.hypot(*sizes.values()) / si
+
+    @property
+    def high_side(self) -> float:
+        """Direction of a high side of a plate, degrees counter-clockwise from +x; nan of others."""
+        return self._size_and_high_side[1]
+
+    @property
+    def _last_names(self) -> dict[Parameter, str]:
+        """Names of its parameters in the last campaign, by parameter without a campaign."""
+        return {self.catalogue.parameter(n).plain: n for n in self.parameters}
+
+    @property
+    def _size_and_high_side(self) -> tuple[float, float]:
+        """Size of one parameter or pair, SI, and direction of a high side; nan of several."""
+        places = {p.undirected if self.effect.paired else p for p in self._last_names}
+        if len(places) > 1:
+            return math.nan, math.nan
+        values = {str(p): self.values[n] for p, n in self._last_names.items()}
+        return wording.size_and_high_side(self.catalogue, values)
 
     @property
     def half_width(self) -> str:
@@ -85,20 +107,20 @@ class Explanation:
         parameters.
         """
         width = self.sigma * self.effect.unit.si * SIGMAS_95
-        return size_words(self.effect, width) if math.isfinite(width) else ""
+        return wording.size_words(self.effect, width) if math.isfinite(width) else ""
 
     @property
     def words(self) -> str:
         """The error with its size and sign, a clause; for each campaign if these differ."""
         if split_campaign(self.name)[1]:
-            return cause_words(self.catalogue, self.name, dict(self.values))
+            return wording.cause_words(self.catalogue, self.name, dict(self.values))
         by_campaign = dict[str, dict[str, float]]()
         for name, value in self.values.items():
             parameter = self.catalogue.parameter(name)
             by_campaign.setdefault(parameter.campaign, {})[parameter.plain] = value
         several = len(by_campaign) > 1
         return ", and ".join(
-            cause_words(self.catalogue, self.name, values)
+            wording.cause_words(self.catalogue, self.name, values)
             + f" ({campaign})" * several * bool(campaign)
             for campaign, values in by_campaign.items()
         )
@@ -120,25 +142,23 @@ class Explanation:
 
     @property
     def confirm(self) -> str:
-        """A test with the expected reading; empty for several parameters that are not those of one
-        leg and one cause.
+        """A test with the expected reading, of the last campaign; empty for several parameters
+        that are no pair.
         """
-        parameters = [self.catalogue.parameter(n) for n in self.parameters]
-        # For parameters specific to a campaign: the values of the last campaign.
-        pairs = zip(parameters, self.parameters, strict=True)
-        values = {p.plain: self.values[n] for p, n in pairs}
-        first, *others = values
-        is_pair = self.effect.paired and len({p.leg for p in values}) == 1
-        if first.member or (others and not is_pair):
+        first, value = next(iter(self._last_names)), self._size_and_high_side[0]
+        if first.member or not math.isfinite(value):
             return ""
-        value = math.hypot(*values.values()) if others else values[first]
-        campaign = parameters[-1].campaign if len({p.campaign for p in parameters}) > 1 else ""
-        return confirm_words(self.effect, first, value) + f" (as in {campaign})" * bool(campaign)
+        campaigns = [self.catalogue.parameter(n).campaign for n in self.parameters]
+        campaign = campaigns[-1] if len(set(campaigns)) > 1 else ""
+        words = wording.confirm_words(self.effect, first, value, self.high_side)
+        return words + f" (as in {campaign})" * bool(campaign)
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
         names = ("value", "sigma", "unit", "words", "look_at", "confirm", "half_width")
-        return {name: encoded(getattr(self, name)) for name in names}
+        keys = {name: encoded(getattr(self, name)) for name in names}
+        degrees = {"high_side_deg": in_mm_short(self.high_side * 1e-3)}
+        return keys | (degrees if math.isfinite(self.high_side) else {})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
