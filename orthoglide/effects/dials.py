@@ -71,7 +71,7 @@ GAUGE_DRIFT = Effect(
 EFFECTS = (GAUGE_DIRECTION, GAUGE_SCALE, GAUGE_DRIFT)
 
 _UM = 1e-6
-_CREEP, _DIAL = Kernel(0.5, 8, rough=1.0), Kernel(0.5, 6)
+_CREEP, _DIAL = Kernel(0.5, 8, rough=1.0, from_zero=True), Kernel(0.5, 6)
 
 
 def dial_free_forms(

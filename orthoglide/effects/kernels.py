@@ -7,7 +7,7 @@ regression*, eq. 17 and 56); or lost motion that builds up after a reversal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,6 +31,8 @@ class Kernel:
     rough: float = 0.0
     # whether a straight line is one more function, which eigenfunctions approximate badly
     line: bool = False
+    # whether it is zero at the start of its variable's range, before which nothing has changed
+    from_zero: bool = False
 
     @property
     def count(self) -> int:
@@ -50,6 +52,10 @@ class Kernel:
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight."""
+        if self.from_zero:
+            free = replace(self, from_zero=False)
+            pairs = zip(free.functions(u, which), free.functions(-1.0, which), strict=True)
+            return [value - start for value, start in pairs]
         phase = np.pi * (u + _INTERVAL_RATIO) / (2 * _INTERVAL_RATIO)
         return [
             float(self.weights[k]) * sin((k + 1) * phase) if k < self.waves else u

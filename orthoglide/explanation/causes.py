@@ -103,9 +103,9 @@ def curve_of(
     if isinstance(bump := error.kernel, Bump):
         u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
     functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
-    # The mean of a curve cannot be separated from the zeros.
+    # The mean of a curve cannot be separated from the zeros; a change with time begins at zero.
     has_level = error.depends_on_approach or error.is_local
-    if not has_level:
+    if not (has_level or error.against == "time"):
         functions -= functions.mean(axis=0)
     low, high = error.interval(stroke)
     value, variance = functions @ mean, np.einsum("ki,ij,kj->k", functions, covariance, functions)
