@@ -225,14 +225,33 @@ def predicted_rms_mm(
 
     The base model is that of ``identify``. That of an *unexplained* verdict is none to compare
     with: the closed loop has fitted it to noise as large as the residual, and takes it over.
+    The shape of the plate that the verdict found is that of both lists: they are of one bed.
     """
     from orthoglide.closing.judging import held_out_rms
 
+    def off(values: Mapping[str, float], readings: og.Readings) -> float:
+        return held_out_rms(values, machine, [readings]).length * 1e3
+
     base = {**machine.values, **og.identify([used], machine).values}
-    stored, before, after = (
-        held_out_rms(values, machine, [other]).length * 1e3 for values in ({}, base, verdict.values)
+    same_bed = _less_shape(verdict, machine, other)
+    return off({}, other), off(base, other), off(verdict.values, same_bed)
+
+
+def _less_shape(verdict: og.Verdict, machine: og.Machine, other: og.Readings) -> og.Readings:
+    """Return readings less what the plate's shape, as a verdict found it, adds to them."""
+    shape = {}
+    for name, value in verdict.after.values.items():
+        effect, _, rest = name.partition(".")
+        if machine.catalogue[effect].of_body:
+            direction = rest.partition(".")[2]
+            for setup in other.setups:
+                if setup.kind == "plate":
+                    shape[".".join(filter(None, (effect, setup.name, direction)))] = value
+    flat, shaped = (
+        og.simulate(one, other, exact=True).reading
+        for one in (machine, machine.with_parameters(shape))
     )
-    return stored, before, after
+    return other.with_readings(other.reading - (shaped - flat))
 
 
 def predicted_sd_mm(verdict: og.Verdict, other: og.Readings) -> float:

@@ -39,6 +39,18 @@ _OTHER_FILES = {  # of no machine: text that only such files contain, and what t
     "probe lines": (
         r"\bprobe at \S+ is z=", f"has Klipper's lines of touches{_PLATES_ADVICE}",
     ),
+    "grid": (
+        r"(?i)\bbilinear leveling grid\b|\bbed topography report\b"
+        r"|\bmesh leveling probed z positions\b|^\s*\{\s*\"mesh\"",
+        "is a grid of heights without the places that were touched: probe the plate again and save "
+        "the lines that name x, y and z (Marlin prints 'Bed X: Y: Z:' with G29 V4, Klipper 'probe "
+        "at X,Y is z=Z'), or write a table of x, y and z",
+    ),
+    "calibration log": (
+        r"\bG33 Auto Calibrat",
+        "is what Marlin's G33 prints, numbers that it found and no touches: probe the plate (G29 "
+        "V4), save its lines 'Bed X: Y: Z:' and read them by orthoglide import plates",
+    ),
 }  # fmt: skip
 _M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
 _BED_LINES = "probe the plate (G29), save its lines 'Bed X: Y: Z:' and read them"
@@ -48,7 +60,8 @@ _FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how th
         r"^[ \t]*(?:arm_solution|(?:alpha|beta|gamma)_[\w.]+|zprobe\.\w+|leveling-strategy\.\S+)"
         r"[ \t]+\S|^;Optional arm solution specific",
         "probe a grid (G29), save its touches as lines x, y, z and read them",
-        rf"^[ \t]*arm_length[ \t]+{_NUMBER}", rf"^[ \t]*arm_radius[ \t]+{_NUMBER}",
+        rf"^[ \t]*(?:arm_length[ \t]+|M665 L){_NUMBER}",
+        rf"^[ \t]*(?:arm_radius[ \t]+|M665 L[\d.]+ R){_NUMBER}",
     ),
     "Marlin's configuration": (
         r"^[ \t]*(?://[ \t]*)?#define[ \t]+\w", _BED_LINES,
@@ -60,6 +73,10 @@ _FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how th
         r"|^[ \t]*M665\b(?![^;\n]*\bS *\d)[^;\n]*\b(?:L *[\d.]+:|B *\d)"
         r"|^[ \t]*M666\b[^;\n]*\b[AB] *-?[\d.]",
         "probe the plate (G29 S0) and read heightmap.csv", *_M665,
+    ),
+    "Repetier's EEPROM": (
+        r"^EPR:3 881 ", "probe the plate, save its touches as lines x, y, z and read them",
+        rf"^EPR:3 881 {_NUMBER}", rf"^EPR:3 885 {_NUMBER}",
     ),
     "what Marlin's M503 prints": (
         r"^(?:Recv: *)?(?:echo: *)?[ \t]*(?:M665|M666|M92|M851)\b", _BED_LINES, *_M665,

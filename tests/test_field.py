@@ -201,6 +201,15 @@ def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
     assert "measure 100 mm of the carriage's travel" in cause.chosen.look_at
 
 
+def test_a_radius_that_was_fitted_with_wrong_drives_does_not_speak_for_them() -> None:
+    """The firmware's radius, 2.7 mm too small, was the drives' alibi: carriage paths out of square
+    and a part printed too large were certain.
+    """
+    (cause,) = closed("drives-5-percent", "printer.cfg").effects
+    assert cause.name == "encoder_scale.common"
+    assert cause.chosen.value == pytest.approx(0.05, abs=0.003)
+
+
 def test_what_is_more_probable_than_not_is_told_and_tested() -> None:
     """Nothing was said to be wrong while the table of the page had the drive at 0.56."""
     verdict = closed("one-drive-3-percent", "printer.cfg")
@@ -233,6 +242,12 @@ def test_travel_that_is_counted_down_is_told() -> None:
         ((1, -1, 1), "the other way by b they fit a plane to 0.00N mm: set sign = [1, -1, 1]"),
         ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at the microsteps"),
         ((0.1, 0.1, 0.1), "multiplied by 10 they fit a plane to 0.00N mm: look at"),
+        ((0.625,) * 3, "multiplied by 1.6 they fit a plane to 0.00N mm: look at"),
+        (
+            (-0.5, -0.5, -0.5),
+            "counted the other way and multiplied by 2 they fit a plane to 0.00N mm: set sign = "
+            "[-1, -1, -1] under [controller]; look at the microsteps",
+        ),
     ],
 )
 def test_travel_in_another_unit_or_sign_is_told(factors: tuple[float, ...], remedy: str) -> None:
@@ -348,6 +363,14 @@ def test_distances_in_centimetres_are_no_other_microsteps(tmp_path: Path) -> Non
     assert not any(readings.paired.any() for readings in found.campaigns)
 
 
+def test_distances_in_another_unit_are_told_so(tmp_path: Path) -> None:
+    """They were of different times, or a number of one tower was wrong."""
+    text = (FIELD / "rods-entered-4mm-short" / "printer.cfg").read_text()
+    scaled = re.sub(r"(distance\d+ = )([0-9.]+)", lambda m: f"{m[1]}{float(m[2]) / 10:.4f}", text)
+    (told,) = (n for n in imported(tmp_path, scaled).notes if "all 12 distances" in n)
+    assert "they are 0.101 times as long as their positions are apart: look at their unit" in told
+
+
 OTHER = FIELD / "other-firmware-words"
 
 
@@ -361,12 +384,41 @@ def test_lists_of_touches_are_readings_of_the_plate(file: str, count: int) -> No
 
 @pytest.mark.parametrize(
     ("file", "said"),
-    [("rrf.g", "RepRapFirmware.*L = 269.5"), ("smoothie.txt", "Smoothie.*L = 215")],
+    [
+        ("rrf.g", "RepRapFirmware.*L = 269.5"),
+        ("smoothie.txt", "Smoothie.*L = 215"),
+        ("repetier.txt", "Repetier.*L = 215 and radius_mm less r_mm = 105.6"),
+        ("smoothie-override.txt", "Smoothie.*L = 215 and radius_mm less r_mm = 105.6"),
+    ],
 )
 def test_configurations_of_others_are_answered_with_what_to_write(file: str, said: str) -> None:
     for read in (og.import_printer, lambda path: og.import_plates(path, OTHER / "machine.toml")):
         with pytest.raises(og.FileError, match=said):
             read(OTHER / file)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "Recv: Bilinear Leveling Grid:\nRecv:  0 +0.1 -0.1\n",
+            "grid of heights without the places",
+        ),
+        (
+            "// Mesh Leveling Probed Z positions:\n// 0.1 0.2\n",
+            "grid of heights without the places",
+        ),
+        ("Recv: G33 Auto Calibrate\nRecv: Calibration OK\n", "Marlin's G33 prints.*no touches"),
+        ("x,y,z\n-20,000,0,000,0,120\n0,5,0,5,0,1\n9,5,0,5,0,1\n", "more numbers than names"),
+    ],
+)
+def test_lists_without_touches_are_answered_with_what_to_give(
+    text: str, said: str, tmp_path: Path
+) -> None:
+    """Numbers with decimal commas between commas were read as other numbers."""
+    (tmp_path / "points.txt").write_text(text)
+    with pytest.raises(og.FileError, match=said):
+        og.import_plates(tmp_path / "points.txt", OTHER / "machine.toml")
 
 
 def test_temperatures_that_were_recorded_are_kept(tmp_path: Path) -> None:

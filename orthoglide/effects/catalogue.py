@@ -42,6 +42,11 @@ size an owner enters: rods are even to a few hundredths, but their length is rea
 shop's page. Rods of 217 were entered as 234, 272 as 268, 288 as 270: of such errors of 4 to 18 mm
 the largest is three standard deviations."""
 
+_SHARED_TOLERANCES = {"axis_offset.radial.common": 2.0}
+"""Standard deviations, in the effects' own units, of errors that legs share beside their own ones.
+A firmware fits one radius of all towers, with drives and rods of the sizes entered: drives that
+move 5 % more than told made it 2.7 mm too small, rods 4 mm short 1.5 mm."""
+
 MACHINE_CLASSES = ("laboratory", "belts")
 """Classes of machines: a carefully built one of ground steel, and belts on extrusions."""
 
@@ -148,6 +153,16 @@ class Catalogue(Mapping[str, Effect]):
     def common_tolerance(self) -> dict[str, float]:
         """Standard deviation to expect of the common part of an effect on all legs, SI."""
         return {n: to_si(v, self[n].unit.si) for n, v in _COMMON_TOLERANCES.items()}
+
+    @property
+    def shared_tolerance(self) -> dict[str, float]:
+        """Standard deviation of the error that the parameters of a structured member share beside
+        their own ones, by its name, SI.
+        """
+        return {
+            n: to_si(v, self.effect_of(n).unit.si) for n, v in _SHARED_TOLERANCES.items()
+            if n in self.structured_members(effect_name(n))
+        }  # fmt: skip
 
     def effect_of(self, name: str) -> Effect:
         """Effect of a parameter, a structured member or an effect's own name.

@@ -49,7 +49,6 @@ from orthoglide.fit.least_squares import (
     predict,
 )
 from orthoglide.fit.problem import MAX_TOLERANCES
-from orthoglide.fit.unknowns import posterior_rows
 from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 from orthoglide.parameters import Parameter
@@ -350,8 +349,6 @@ def _fixed_priors(
     for error in errors:
         fixed_sd[spans[error.name]] = _ZERO_SD if error.only_if_active else np.nan
     fixed_sd[: len(problem.names)] = [u.prior_width for u in problem.unknowns]
-    if problem.earlier_posterior is None:
-        return fixed_sd, (np.zeros((0, len(problem.names))), np.zeros(0))
-    matrix, target, constrained = posterior_rows(problem.earlier_posterior, problem.unknowns)
+    matrix, target, constrained = problem.correlated_prior_rows
     fixed_sd[: len(constrained)][constrained] = _VAGUE_SD
     return fixed_sd, (matrix, target)

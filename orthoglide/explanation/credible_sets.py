@@ -54,8 +54,9 @@ LEAST_CLAIMED_PROBABILITY = 0.9
 def credible_sets(posterior: FullPosterior, given: Sequence[str] = ()) -> CredibleSets:
     """Return the credible sets of all active causes, those declared in ``given`` included."""
     reader = _CredibleSetReader(posterior)
-    sets = [reader.credible_set(member, given) for member in posterior.mixture.groups_by_importance]
-    sets += far_base_causes(posterior)
+    active = [reader.credible_set(k, given) for k in posterior.mixture.groups_by_importance]
+    # An active group without a claim is as uncertain as an inactive one.
+    sets = [found for found in (*active, *far_base_causes(posterior)) if found is not None]
     return CredibleSets(
         tuple(item for item in sets if isinstance(item, Cause)),
         tuple(item for item in sets if isinstance(item, Located)),

@@ -178,14 +178,17 @@ def _read_heights(
 def _read_table(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None:
     """Read a table of x, y, z, with or without a line of names, which may be a comment."""
     columns: Columns = {axis: (axis, 1.0) for axis in range(3)}
-    has_names = False
+    name_count = 0
     for number, line in enumerate(lines, start=1):
         cells, comment = _cells(line.lstrip("#/; ")), bool(_COMMENT.match(line))
         if named_columns := _columns(cells):
-            columns, has_names, touch_lists.starts_list = named_columns, True, True
+            columns, name_count, touch_lists.starts_list = named_columns, len(cells), True
         elif comment or not line.strip():
             continue
-        elif (touch := _row(number, cells, columns)) and (has_names or len(cells) == 3):
+        elif 0 < name_count < len(cells) and all(math.isfinite(_number(c)) for c in cells):
+            reason = "more numbers than names: separate numbers with decimal commas by semicolons"
+            touch_lists.leave_out(reason, number, line)
+        elif (touch := _row(number, cells, columns)) and (name_count or len(cells) == 3):
             touch_lists.add(touch)
         else:
             touch_lists.leave_out("no row of x, y and z", number, line)

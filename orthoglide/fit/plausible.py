@@ -32,11 +32,13 @@ _PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 3e-5
 """Metres: a bed in use for printing is at least as flat; touches are hardly more precise."""
 
 _MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
-_TRAVEL_FACTORS = (
-    *(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0),
-    *((f, f, f) for f in (1 / INCH, 0.1, 0.25, 0.5, 2.0, 4.0, 10.0, INCH)),
+_TRAVEL_FACTORS = tuple(
+    tuple(sign * size for sign in signs)
+    for size in (1.0, 1 / INCH, 0.1, 0.25, 0.5, 0.625, 1.6, 2.0, 4.0, 10.0, INCH)
+    for signs in product((1.0, -1.0), repeat=3)
 )
-"""Factors that may correct the travel of the legs: signs, microsteps, and units."""
+"""Factors that may correct the travel of the legs: signs with microsteps, pulleys (of 32 teeth for
+20), and units."""
 
 _MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
 
@@ -107,15 +109,21 @@ def _travel_remedy(factors: tuple[float, ...], misfit: float, machine: Machine) 
     """Return with which factors of travel the touches fit a plane, to a misfit in metres, and what
     to do.
     """
-    fits = f"they fit a plane to {compact(misfit * 1e3, 1)} mm"
+    size, ways, remedies = abs(factors[0]), list[str](), list[str]()
     if min(factors) < 0:
         legs = [machine.geometry.leg_names[k] for k, f in enumerate(factors) if f < 0]
-        which = "" if len(legs) == len(factors) else f" by {' and '.join(legs)}"
-        signs = [round(s * f) for s, f in zip(machine.spec.controller.sign, factors, strict=True)]
-        return f"counted the other way{which} {fits}: set sign = {signs} under [controller]"
+        ways.append("counted the other way" + f" by {' and '.join(legs)}" * (len(legs) < 3))
+        given = machine.spec.controller.sign
+        signs = [round(s * f / size) for s, f in zip(given, factors, strict=True)]
+        remedies.append(f"set sign = {signs} under [controller]")
+    if size != 1:
+        ways.append(f"multiplied by {size:.4g}")
+        remedies.append(
+            "look at the microsteps and at the unit of travel, and correct the columns of travel"
+        )
     return (
-        f"multiplied by {factors[0]:.4g} {fits}: look at the microsteps and at the unit of travel, "
-        f"and correct the columns of travel"
+        f"{' and '.join(ways)} they fit a plane to {compact(misfit * 1e3, 1)} mm: "
+        f"{'; '.join(remedies)}"
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.noise import Noise
 from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
-from orthoglide.fit.unknowns import Unknown, posterior_rows, weight_matrix
+from orthoglide.fit.unknowns import Unknown, posterior_rows, shared_error_rows, weight_matrix
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS
@@ -262,12 +262,19 @@ class Problem:
         """The prior ``|W x - t|^2``: matrix ``(k, P)`` and target ``(k,)``."""
         if self.prior_override is not None:
             return self.prior_override
-        tolerances = np.diag(1 / self.prior_sd)
-        if self.earlier_posterior is None:
-            return tolerances, np.zeros(len(tolerances))
-        matrix, target, covered = posterior_rows(self.earlier_posterior, self.unknowns)
-        others = tolerances[~covered]
+        matrix, target, covered = self.correlated_prior_rows
+        others = np.diag(1 / self.prior_sd)[~covered]
         return np.vstack([others, matrix]), np.concatenate([np.zeros(len(others)), target])
+
+    @cached_property
+    def correlated_prior_rows(self) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Prior rows of the unknowns whose priors are correlated, matrix ``(k, P)`` and target
+        ``(k,)``, and which unknowns these are ``(P,)``.
+        """
+        if self.earlier_posterior is not None:
+            return posterior_rows(self.earlier_posterior, self.unknowns)
+        shared = self.machine.spec.shared_errors
+        return shared_error_rows(self.unknowns, self.prior_sd, shared)
 
     @cached_property
     def start(self) -> Array:

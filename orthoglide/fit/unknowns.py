@@ -73,6 +73,28 @@ def posterior_rows(
     return matrix, root @ mean, is_covered
 
 
+def shared_error_rows(
+    unknowns: Sequence[Unknown],
+    prior_sd: Array,
+    shared: Sequence[tuple[Mapping[Any, float], float]],
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the priors of unknowns that share an error beside their own, in the form of
+    `posterior_rows`.
+
+    Args:
+        unknowns: all ``P``.
+        prior_sd: of the error of each alone ``(P,)``, SI.
+        shared: weights of the parameters that share an error, and its standard deviation, SI.
+    """
+    matrix, is_shared = np.diag(1 / prior_sd), np.zeros(len(unknowns), dtype=bool)
+    for weights, sd in shared:
+        v = np.array([weights.get(u.name, 0.0) * sd / u.tolerance for u in unknowns])
+        if square := float(v @ v):  # (1 + v v')^-1/2 is the root of the inverse covariance
+            matrix = matrix - np.outer((1 - 1 / np.sqrt(1 + square)) / square * v, v / prior_sd)
+            is_shared |= v != 0
+    return matrix[is_shared], np.zeros(int(is_shared.sum())), is_shared
+
+
 def build_unknowns(
     machine: Machine, factors: Sequence[Factor], free: Sequence[str], own: Sequence[str] = ()
 ) -> tuple[Unknown, ...]:

@@ -326,6 +326,14 @@ class MachineFile:
         return self.build == "belts" or (not self.build and is_delta)
 
     @property
+    def shared_errors(self) -> list[tuple[dict[str, float], float]]:
+        """Weights of parameters that are one number of the controller, and the standard deviation
+        of the error that they share beside their own ones, SI.
+        """
+        shared = self.catalogue.shared_tolerance if self.printer is not None else {}
+        return [(self.catalogue.elementary_weights(name), sd) for name, sd in shared.items()]
+
+    @property
     def entered(self) -> dict[str, float]:
         """Expected standard deviations, by effect, of the common error that parts of one set have
         because their size was entered by hand, SI; at least the range of the entered values.

@@ -14,6 +14,7 @@ from orthoglide.firmware.klipper.provenance import MAX_ROD_SPREAD
 from orthoglide.numerals import signed
 from orthoglide.ordering import best_of
 
+_HARDLY_LESS = 0.95  # share of a residual above which its fall is not worth telling
 CONFIG_FILE = "printer.cfg"
 PASTE_INSTRUCTIONS = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
@@ -126,12 +127,12 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
 
 
 def _gain_clause(record: Mapping[str, Any]) -> str:
-    """Return what the new numbers leave of the heights; if these do not fall, of the readings whose
+    """Return what the new numbers leave of the heights; if these hardly fall, of the readings whose
     residual falls most.
     """
     what, (before, after) = "heights over the plate", map(float, record["height_rms_mm"])
     by_file = record.get("left_of_readings", ())
-    if after >= before and by_file:
+    if after > _HARDLY_LESS * before and by_file:
         most = best_of(by_file, lambda x: x["old_rms_mm"] - x["new_rms_mm"])
         what = f"the {most['kind']} of {most['file']}"
         before, after = most["old_rms_mm"], most["new_rms_mm"]

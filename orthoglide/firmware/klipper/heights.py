@@ -272,11 +272,15 @@ def _plausible_rows(
         if reached.any():
             largest = plain(np.abs(excess[reached]).max() * 1e3, 1)
             misses = f", which the stored numbers miss by up to {largest} mm"
+        remedy = "they are of different times, or a number of one tower is wrong: correct it"
+        if p.shape[1] > 1 and (np.abs(excess[:, 1:]) <= most[:, 1:]).all():  # right positions
+            share = float(np.median(value / (value + excess[:, 0])))
+            remedy = f"they are {share:.3g} times as long as their positions are apart: look at "
+            remedy += "their unit"
         config.note(
             CALIBRATE_NOTE if p.shape[1] == 1 else "readings",
-            f"left out: all {len(plausible)} {kind}s of [delta_calibrate]{misses}: they are of "
-            f"different times, or a number of one tower is wrong: correct it, or run "
-            f"DELTA_CALIBRATE",
+            f"left out: all {len(plausible)} {kind}s of [delta_calibrate]{misses}: {remedy}, or "
+            f"run DELTA_CALIBRATE",
         )
         return plausible
     elsewhere = ", or in another place of DELTA_ANALYZE's list" if p.shape[1] > 1 else ""
