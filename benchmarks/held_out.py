@@ -3,10 +3,10 @@
     python -m benchmarks.held_out [FOLDER ...]
 
 Of every ``printer.cfg`` in the folders each set of readings (heights with distances, every mesh) is
-used alone, and the machine found predicts each of the others; only their own height and slopes are
-fitted, and the reading scored is left out of that. The files of ``tests/data/delta/held`` were
-found after the methods were made; only how rare a wide background is was settled with them in
-sight.
+used alone, and the machine and the shape of the plate that were found predict each of the others;
+only their own height and slopes are fitted, and the reading scored is left out of that. The files
+of ``tests/data/delta/held`` were found after the methods were made; only how rare a wide background
+is was settled with them in sight.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> No
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
     assert "- Test each of the other causes above in the same way." in told
     rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
-    assert len(rivals) == 3
+    assert len(rivals) == 4
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at
     assert "imported with --turned NAME=60" in told
     sheet = "orthoglide design --owns distance --machine {} --out distance.csv"

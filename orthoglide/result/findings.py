@@ -65,9 +65,7 @@ class Explanation:
 
     @property
     def value(self) -> float:
-        """Its size in `unit`, of a pair its amplitude, of the last campaign if it is specific to
-        each; nan if it has several parameters that are no pair.
-        """
+        """Its size in `unit`, of a pair its amplitude, in the last campaign; nan of others."""
         return self._size_and_high_side[0] / self.effect.unit.si
 
     @property
@@ -142,9 +140,7 @@ class Explanation:
 
     @property
     def confirm(self) -> str:
-        """A test with the expected reading, of the last campaign; empty for several parameters
-        that are no pair.
-        """
+        """A test with the expected reading in the last campaign; empty where `value` is nan."""
         first, value = next(iter(self._last_names)), self._size_and_high_side[0]
         if first.member or not math.isfinite(value):
             return ""
