@@ -37,10 +37,10 @@ UNUSED = """
 
 One set of readings of a machine is used, and the machine found, with the shape of its plate,
 predicts each of the others. Columns are ratios of root mean squares: closed loop to base, and to
-the numbers that the firmware stored, which were fitted to some of these readings. *First* is the
-first cause with the number of its alternatives, or the verdict. The files below v400-april were
-looked for after the methods were made; only how rare a background wider than 0.1 tolerance is was
-settled with them in sight.
+the numbers that the firmware stored, which were fitted to some of these readings. *New numbers*:
+predictions whose verdict advised some. *First* is the first cause with the number of its
+alternatives, or the verdict. The files below v400-april were looked for after the methods were
+made; only how rare a background wider than 0.1 tolerance is was settled with them in sight.
 t1-mnemonic3d is the printer of t1-stock at another time. `python -m benchmarks.held_out` prints
 every prediction, and takes folders of your own files.
 """

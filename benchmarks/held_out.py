@@ -98,14 +98,15 @@ def table(found: Sequence[Predicted]) -> Iterator[str]:
 
 def summary(found: Sequence[Predicted]) -> Iterator[str]:
     """A row a machine, in Markdown, and what it comes to."""
-    yield "| machine | better than base | closed/base | closed/stored | first |"
-    yield "|---|---:|---:|---:|---|"
+    yield "| machine | better than base | closed/base | closed/stored | new numbers | first |"
+    yield "|---|---:|---:|---:|---:|---|"
     for machine in dict.fromkeys(p.machine for p in found):
         chosen = [p for p in found if p.machine == machine]
         closed, base, stored = np.array([(p.closed, p.base, p.stored) for p in chosen]).T
         yield (
             f"| {machine} | {np.sum(closed < base)}/{len(chosen)} | "
             f"{np.median(closed / base):.2f} | {np.median(closed / stored):.2f} | "
+            f"{sum(p.advised for p in chosen)}/{len(chosen)} | "
             f"{next((p.cause for p in chosen if p.cause), chosen[0].word)} |"
         )
     yield ""

@@ -43,6 +43,13 @@ def effect_name(name: str) -> str:
     return split_campaign(name)[0].partition(".")[0]
 
 
+def spaced(effect: str) -> str:
+    """Return the name of an effect as words; of a free-form error at a negative travel, where two
+    underscores stand for a space and a minus sign, with that sign.
+    """
+    return effect.replace("__", " \N{MINUS SIGN}").replace("_", " ")
+
+
 def split_campaign(name: str) -> tuple[str, str]:
     """Return a name without its campaign, and the campaign, empty where it has none."""
     if isinstance(name, Parameter):

@@ -49,9 +49,21 @@ def test_the_sentence_names_all_three(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
     assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
     fault = "fault of the data:"
-    assert text.startswith(f"A {fault} another command than the one written in c4.csv, line 19. Or")
-    assert f"Or a {fault} one dial that reads wrong at one place in c4.csv, line 20." in text
+    assert text.startswith(
+        f"A {fault} another command than the one written in c4.csv, line 19 and 11 more. Or"
+    )
+    assert (
+        f"Or a {fault} one dial that reads wrong at one place in c4.csv, line 20 and 5 more."
+        in text
+    )
     assert "These readings cannot tell which." in text
+
+
+def test_the_mark_of_a_bump_points_as_the_sentence_says(bumpy: og.Verdict, tmp_path: Path) -> None:
+    bumpy.report(tmp_path / "out")
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "0.1 mm toward z" in page
+    assert "0.1 mm toward −z" not in page
 
 
 def test_the_posture_and_its_neighbours_are_read_again(bumpy: og.Verdict) -> None:

@@ -10,8 +10,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing.actions import located_error_test
+from orthoglide.effects import CATALOGUE
 from orthoglide.effects.free_form import Dependence, FreeForm, Part, Session, free_forms
 from orthoglide.effects.kernels import Level
+from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
 from orthoglide.explanation.causes import CredibleSets, curve_of
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
@@ -141,6 +143,15 @@ def test_lost_motion_of_a_place_comes_with_the_test_that_shows_it(
     assert "0.050 mm" in said
     silent = SimpleNamespace(place=replace(place, against="travel"), size_words="0.050 mm")
     assert located_error_test(cast(Curve, silent)) == ""
+
+
+def test_an_error_at_a_negative_travel_keeps_its_sign() -> None:
+    assert CATALOGUE.legs.effect_words("rail_x_z_travel__50") == "rail x z travel \N{MINUS SIGN}50"
+
+
+def test_patterns_about_different_axes_have_different_words() -> None:
+    names = [f"mount_tilt.{axis}.common" for axis in "ab"]
+    assert len({cause_short(CATALOGUE, name) for name in names}) == 2
 
 
 def test_a_size_that_grows_with_the_travel_says_where_it_is_reached() -> None:

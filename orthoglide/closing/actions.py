@@ -36,6 +36,7 @@ _DIAL_REVERSAL_TEST = (
 )
 _ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _REPAIR = "Confirm the cause by its test, repair it, and measure again"
+_REPAIR_IF_DATA_HOLD = f"If the data prove right: {_REPAIR[0].lower()}{_REPAIR[1:]}"
 _TEST_LIKELY = "Test what is likely, but not certain"
 _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
@@ -172,8 +173,9 @@ def _finding_actions(
             else:
                 effects = [e.catalogue.effect_of(e.name) for e in finding.explanations]
                 plate = any(bool(effect.plate) for effect in effects)
-            gain, ambiguous = gains.get(name, (0.0, 0.0)), len(options) > 1
-            yield Action(kind, _REPAIR, *gain, options, ambiguous, ambiguous and plate)
+            gain, ambiguous = gains.get(name, (0.0, 0.0)), len(options) + len(finding.data) > 1
+            words = _REPAIR_IF_DATA_HOLD if finding.data else _REPAIR
+            yield Action(kind, words, *gain, options, ambiguous, ambiguous and plate)
     for cause in outcome.possible if outcome.word != "unexplained" else ():
         options = (Suspect(cause.words, cause.look_at, cause.confirm),)
         yield Action("confirm", _TEST_LIKELY, options=options)

@@ -65,7 +65,7 @@ def _located_option(machine: Machine, curve: Curve) -> Option:
         return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
     both, along = curve.loses, place.against == "travel"
     bars = len(place.joints) > 1
-    value = curve.value - curve.value.mean() if along else np.full(len(curve.at), curve.size)
+    value = curve.value if along else np.full(len(curve.at), curve.size)
     travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))
     joint = place.joints[0][0]
     mark = joint_mark(machine, place.leg, joint, travel, value, size, both, bars)

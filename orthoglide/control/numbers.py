@@ -12,12 +12,12 @@ from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.add_ons import Paste
 from orthoglide.control.zero_checks import ZeroCheck, check_zeros, checked_for_use
 from orthoglide.effects import DRIVE_ENTRIES
-from orthoglide.effects.wording import effects_in_words
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.numerals import MINUS, plain, signed
 from orthoglide.ordering import RELATIVE_MARGIN, best_of, ranked
+from orthoglide.parameters import effect_name
 from orthoglide.text import listed, sentence
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
@@ -173,7 +173,8 @@ class ControllerNumbers(Framed):
     @property
     def beyond(self) -> tuple[str, ...]:
         """Effects that no such number can hold, in words."""
-        return tuple(map(self.names.effect_words, effects_in_words(self.left_over)))
+        effects = dict.fromkeys(map(effect_name, self.left_over))
+        return tuple(map(self.names.effect_words, effects))
 
     @property
     def zeros_alone(self) -> bool:

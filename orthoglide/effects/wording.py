@@ -10,7 +10,7 @@ from orthoglide.effects.effect import Effect
 from orthoglide.effects.words import Clause, across, filled, quantity, rotation_sense, toward
 from orthoglide.layout import DIRECTIONS, LegNames, LinearDelta
 from orthoglide.numerals import MINUS, compact
-from orthoglide.parameters import Parameter, split_campaign
+from orthoglide.parameters import Parameter, spaced, split_campaign
 
 _DISPLAY_UNITS = {"mm": "mm", "rad": "mrad", "1": "%"}
 _ABOUT = {"a": " about the legs' own axes", "b": " about their pivots"}
@@ -150,18 +150,13 @@ def _parameter_words(parameter: Parameter, words: str) -> str:
     return f"{words} of leg {parameter.leg}{ending}{suffix}"
 
 
-def effects_in_words(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the effects of parameters as words, each once: ``axis tilt``."""
-    return tuple(dict.fromkeys(name.partition(".")[0].replace("_", " ") for name in names))
-
-
 def grouped_by_effect(names: Iterable[str]) -> tuple[str, ...]:
     """Return parameters in short: an effect with several of them stands once, with their number."""
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(name.partition(".")[0], []).append(name)
     return tuple(
-        members[0] if len(members) == 1 else f"{effect.replace('_', ' ')} ({len(members)} numbers)"
+        members[0] if len(members) == 1 else f"{spaced(effect)} ({len(members)} numbers)"
         for effect, members in groups.items()
     )
 
@@ -236,7 +231,8 @@ def _short_pattern(effect: Effect, member: str) -> str:
         return f" ({member[0]} and {member[1]}, {relation})"
     if _is_lateral(effect, side := member.partition(".")[0]):
         return f", all alike in {across(side)}"
-    return ", in a threefold pattern" if member == "cyclic" else ", all by the same amount"
+    about = _ABOUT.get(side, "") if "." in member else ""
+    return ", in a threefold pattern" if member == "cyclic" else f", all by the same amount{about}"
 
 
 def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:

@@ -32,7 +32,7 @@ EXPECTED_COUNT = 0.5 / 6
 
 _INCH_STEP = 1e-7  # metres: step of readings in inches that were taken for millimetres
 _MOST_DIGIT_EVIDENCE = 10.0  # log Bayes factor: one sheet in 20 000 may break any rule
-_FEWEST_STUCK = 4  # successive equal readings over several postures that a stuck dial may give
+_FEWEST_STUCK = 4  # successive equal readings: fewer are single slips in the search
 _LOST_RANGE = 1e-3  # metres in which a lost reading lay: a turn of most hands
 _WRITTEN_STEPS = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7)  # metres
 
@@ -99,7 +99,7 @@ def _exchanges(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
             continue
         rows = np.concatenate([a, b])
         if len(a) == len(b):
-            yield Fault("exchanged_labels", rows, 0.0)
+            yield Fault("exchanged_labels", rows, 0.0)  # exchanged columns: of readings
         # At equal commands in equal order, exchanged labels are the same as exchanged columns.
         commands = problem.dial_column("command")
         if len(a) != len(b) or not np.allclose(commands[a], commands[b], atol=1e-6):
@@ -116,7 +116,7 @@ def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
 
 
 def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
-    """Yield the longest runs of equal readings over several postures."""
+    """Yield every run of equal readings over several postures that is long enough."""
     for rows in rows_by_setup.values():
         commands = problem.dial_column("command")
         finest = max(_finest_step(problem.measured[rows]), 1e-7)
@@ -176,8 +176,8 @@ def _digit_evidence(problem: Problem, fault: Fault) -> float:
 
 
 def level_readings(problem: Problem) -> dict[str, Fault]:
-    """Return other interpretations of the readings of all levels, by how they fit then, and what to
-    do; they share their prior.
+    """Return other interpretations of the readings of all levels, by the words that name each and
+    its remedy; they share their prior odds equally.
     """
     rows = np.flatnonzero(problem.angular)
     axis = problem.column("axis")[rows]

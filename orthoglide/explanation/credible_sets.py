@@ -117,6 +117,14 @@ class _CredibleSetReader:
         """Return probabilities by group, those of the parts of a pair added to that of the pair."""
         return np.bincount(self._pair_of, probabilities, len(self.groups)).astype(float)
 
+    @cached_property
+    def _inclusion(self) -> Array:
+        """Probability that each cause is active, a pair as a whole or in part ``(groups,)``."""
+        probabilities = np.zeros(len(self.groups))
+        for state, weight in self.posterior.mixture.weights.items():
+            probabilities[list({self._pair_of[k] for k, _ in state})] += float(weight.sum())
+        return probabilities
+
     def credible_set(self, member: int, given: Sequence[str]) -> Cause | Located | None:
         """Return the credible set for one active group; ``None`` if nothing is claimed."""
         declared = self.groups[member].name in given
@@ -180,7 +188,7 @@ class _CredibleSetReader:
     def possible_causes(self) -> tuple[Explanation, ...]:
         """Return the most probable causes where none is active, each estimated as the only one."""
         mixture, explanations = self.posterior.mixture, list[Explanation]()
-        inclusion = self._pool_pairs(mixture.inclusion)
+        inclusion = self._inclusion
         order = descending(inclusion[self._cause_groups])[:_MOST_POSSIBLE]
         for k in (self._cause_groups[i] for i in order):
             if inclusion[k] < _LEAST_POSSIBLE:
@@ -380,5 +388,4 @@ class _CredibleSetReader:
         else:
             words = cause_short(self.posterior.machine.catalogue, name)
             parameters = source.parameters
-        inclusion = float(self._pool_pairs(self.posterior.mixture.inclusion)[k])
-        return CandidateScore(name, parameters, inclusion, score, words)
+        return CandidateScore(name, parameters, float(self._inclusion[k]), score, words)

@@ -116,10 +116,12 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, in its unit, and these errors.
+    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and these
+    errors.
 
-    Readings under equal conditions have equal columns, except of errors that depend on the past. If
-    ``first`` is given, the columns of all others have its rows alone.
+    Readings under equal conditions have equal columns, except of errors that depend on time or on
+    the reading before. With ``first``, only the columns of these have all rows; all other columns
+    have the rows of ``first``.
 
     Args:
         problem: the readings.
@@ -142,14 +144,14 @@ def free_form_columns(
         return _columns_of_factors(problem, x, errors, problem.factors), errors
     parts = [first[(first >= p.start) & (first < p.stop)] - p.start for p in problem.factor_rows]
     few = [factor.subset(rows) for factor, rows in zip(problem.factors, parts, strict=True)]
-    of_past = [error.against in ("time", "reversal") for error in errors]
+    needs_all_rows = [error.against in ("time", "reversal") for error in errors]
     blocks = {
-        past: _columns_of_factors(problem, x, [*compress(errors, selected)], factors)
-        for past, factors, selected in (
-            (True, problem.factors, of_past), (False, few, np.logical_not(of_past))
+        every: _columns_of_factors(problem, x, [*compress(errors, selected)], factors)
+        for every, factors, selected in (
+            (True, problem.factors, needs_all_rows), (False, few, np.logical_not(needs_all_rows))
         )
     }  # fmt: skip
-    return (next(blocks[past]) for past in of_past), errors
+    return (next(blocks[every]) for every in needs_all_rows), errors
 
 
 def _columns_of_factors(

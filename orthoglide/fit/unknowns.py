@@ -84,7 +84,8 @@ def shared_error_rows(
     Args:
         unknowns: all ``P``.
         prior_sd: of the error of each alone ``(P,)``, SI.
-        shared: weights of the parameters that share an error, and its standard deviation, SI.
+        shared: weights of the parameters that share an error, each in one set at most, and its
+            standard deviation at priors of one tolerance, SI; it widens with these.
     """
     matrix, is_shared = np.diag(1 / prior_sd), np.zeros(len(unknowns), dtype=bool)
     for weights, sd in shared:
@@ -173,8 +174,8 @@ def _parameter_weights(
 def share_plate_shapes(
     unknowns: Sequence[Unknown], catalogue: Catalogue, separate: Collection[str] = ()
 ) -> tuple[Unknown, ...]:
-    """Return the unknowns with one shape per plate, which all campaigns share; plates named in
-    ``separate`` keep one for each campaign.
+    """Return the unknowns with one shape per plate, which all campaigns share; the parameters named
+    in ``separate`` stay those of each campaign.
     """
     shared = dict[Parameter, Unknown]()
     for unknown in unknowns:

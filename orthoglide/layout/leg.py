@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.errors import InputError, as_float_array
+from orthoglide.parameters import spaced
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -71,7 +72,7 @@ class LegNames:
 
     def effect_words(self, name: str) -> str:
         """Return the name of an effect in the words of this layout."""
-        words = name.replace("_", " ")
+        words = spaced(name)
         if self.noun_replacements:  # a tower's length is not that of its bars
             words = words.replace("leg length", "bar length")
         return self.in_layout_words(words)

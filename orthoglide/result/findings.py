@@ -173,13 +173,12 @@ class Curve:
     probability: Share  # conditional on the other causes found
     unit: str  # unit for display: mm or mrad
     description: str  # the error without its size, a clause
-    # SI; lost motion between the two directions of approach, else the root mean square
+    # SI; the largest value of a bump or jump, the range after a reversal, else the root mean square
     size: Annotated[float, Key("size_si", digits=SHORT_DIGITS)]
     size_words: str  # size with its unit, and whether it is a root mean square
     # arguments at which the function is evaluated (k,): metres or seconds
     at: Annotated[Array, Key("at_si", digits=SHORT_DIGITS)]
-    # values there (k,), SI; without their mean unless it is lost motion, as a constant cannot be
-    # distinguished from the zeros
+    # values there (k,), SI; over travel without their mean, which cannot be told from the zeros
     value: Annotated[Array, Key("value_si", digits=SHORT_DIGITS)]
     # standard deviations of `value` (k,)
     sigma: Annotated[Array, Key("sigma_si", digits=SHORT_DIGITS)]
@@ -238,7 +237,7 @@ class Possible:
 
 @dataclass(frozen=True)
 class DataRival:
-    """A fault of the data that explains the readings as well as a cause of the machine."""
+    """A data fault that is an alternative to a cause of the machine in its credible set."""
 
     data: str  # its kind, as of a data fault
     rows: tuple[int, ...]  # lines of the files
@@ -260,10 +259,11 @@ class DataRival:
 
     @property
     def lines(self) -> str:
-        """The first and the last line if they follow each other, else the first, as words."""
-        first, last = min(self.rows), max(self.rows)
-        in_a_row = last - first + 1 == len(set(self.rows)) > 1
-        return f"lines {first} to {last}" if in_a_row else f"line {first}"
+        """Its lines as words: a range if they follow each other, else how many follow the first."""
+        first, last, more = min(self.rows), max(self.rows), len(set(self.rows)) - 1
+        if last - first == more > 0:
+            return f"lines {first} to {last}"
+        return f"line {first}" + f" and {more} more" * (more > 0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -118,10 +118,13 @@ def _residual_clause(change: ResidualChange, verb: str) -> str:
 def _is_more_than_chance(change: ResidualChange) -> bool:
     """Return whether the residual of readings changes by more than chance, and noticeably.
 
-    Their noise is that of the instrument, or the smaller of the two residuals if this is larger.
+    Their noise is that of the instrument; where they fit better, the residual that is left if this
+    is larger, as what the model lacks must not count as a gain.
     """
     low, high = sorted((change.old, change.new))
-    chi2 = change.count * (high**2 - low**2) / max(_NOISE[change.kind], low) ** 2
+    noise = _NOISE[change.kind]
+    noise = max(noise, low) if change.new < change.old else noise
+    chi2 = change.count * (high**2 - low**2) / noise**2
     return high > (1 + _MIN_GAIN) * low and chi2 > _CHANCE_GAIN
 
 
