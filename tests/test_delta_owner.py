@@ -233,7 +233,7 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     )
     assert reasons[:2] == [turned, distances]
     assert "it does not separate" not in distances
-    assert f"it does not separate {plate} from {paths}, for that take distances" in level
+    assert f"it does not separate {plate} from {paths}, for that take a mesh" in level
     assert told("mesh, distances")[1] == {lobes}
     left = told("mesh, level")[1]
     assert {lobes, "axis_tilt.tangential.common"} <= left
