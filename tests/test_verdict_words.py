@@ -18,6 +18,7 @@ from orthoglide.explanation import credible_sets, full_posterior, posterior_lack
 from orthoglide.explanation.causes import CredibleSets, curve_of
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
+from orthoglide.numerals import compact
 from orthoglide.report.sentences import headline
 from orthoglide.result.findings import Curve
 from tests import rig_campaigns as rc
@@ -160,4 +161,5 @@ def test_a_size_that_grows_with_the_travel_says_where_it_is_reached() -> None:
     count = form.kernel.count
     curve = curve_of(form, 0.9, (-0.1, 0.06), np.ones(count), np.eye(count))
     assert curve.words.endswith(f"{curve.size_words} half a stroke from mechanical zero")
-    assert "mm half a stroke from mechanical zero (root" in curve.words_with_measure
+    largest = compact(np.abs(curve.value).max() * 1e3, 2)  # as it counts from the start
+    assert curve.words_with_measure.endswith(f"{largest} mm half a stroke from mechanical zero")

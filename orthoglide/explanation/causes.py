@@ -104,8 +104,8 @@ def curve_of(
         u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
     functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
     # The mean of a curve cannot be separated from the zeros; a change with time begins at zero.
-    has_level = error.depends_on_approach or error.is_local
-    if not (has_level or error.against == "time"):
+    has_level = error.depends_on_approach or error.is_local or error.against == "time"
+    if not has_level:
         functions -= functions.mean(axis=0)
     low, high = error.interval(stroke)
     value, variance = functions @ mean, np.einsum("ki,ij,kj->k", functions, covariance, functions)
@@ -134,11 +134,11 @@ def curve_of(
 
 
 def _size(error: FreeForm, value: Array) -> float:
-    """Return the size of a free-form error, SI: the largest value of a bump or jump, the range
-    after a reversal, the root mean square difference of both approaches, and else the root mean
-    square about the mean.
+    """Return the size of a free-form error, SI: the largest value of a bump, jump or change with
+    time, the range after a reversal, the root mean square difference of both approaches, and else
+    the root mean square about the mean.
     """
-    if error.is_local:
+    if error.is_local or error.against == "time":
         return float(np.abs(value).max())
     if error.against == "approach":
         return float(np.sqrt(np.mean(value**2)))

@@ -173,7 +173,7 @@ class Curve:
     probability: Share  # conditional on the other causes found
     unit: str  # unit for display: mm or mrad
     description: str  # the error without its size, a clause
-    # SI; the largest value of a bump or jump, the range after a reversal, else the root mean square
+    # SI; of a bump, jump or change with time the largest value, of a reversal the range, else rms
     size: Annotated[float, Key("size_si", digits=SHORT_DIGITS)]
     size_words: str  # size with its unit, and whether it is a root mean square
     # arguments at which the function is evaluated (k,): metres or seconds
