@@ -267,6 +267,22 @@ def test_a_saddle_is_the_plate_and_not_the_hinges(seed: int) -> None:
     assert verdict.candidates[0].probability <= 1.0
 
 
+def test_a_plate_that_was_found_bent_is_no_change_at_the_next_visit(tmp_path: Path) -> None:
+    """The calibrated file keeps no plate; half of its lobes were told as hinges that had turned."""
+    rig = DeltaRig(errors={"plate_trefoil.bed.cos": -2.6e-4, "plate_trefoil.bed.sin": 1.5e-4})
+
+    def touched(seed: int) -> og.Readings:
+        rng = np.random.default_rng(seed)
+        return measured(rig, rng, machine=nominal(), instrument="mesh")
+
+    first = close_loop([touched(5)], nominal())
+    assert [cause.name for cause in first.effects] == ["plate_trefoil.bed"]
+    first.report(tmp_path / "first")
+    again = close_loop([touched(6)], tmp_path / "first" / "calibrated.toml")
+    assert again.changed == ()
+    assert [cause.name for cause in again.effects] == ["plate_trefoil.bed"]
+
+
 @pytest.mark.thorough
 def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     """Rivals of the cause are machines on which the place goes wrong as well; and the machine is

@@ -27,7 +27,7 @@ from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import share_plate_shapes
 from orthoglide.machine_file import MachineFile, Posterior
-from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter, effect_name
 
 _UNCHANGED_PLATE_WIDTH, _BENT_PLATE_WIDTH = 0.02, 0.1
 """Prior widths of a plate's shape, in tolerances: of an unchanged plate, whose shape the earlier
@@ -77,7 +77,8 @@ def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[Change, ...]:
     names = [name for name in calibrated.names if name in earlier.names]
 
     def search(problem: Problem) -> tuple[Change, ...]:
-        shapes = problem.names[len(calibrated.names) :]
+        bent = _effects_found(problem.machine.spec)
+        shapes = [n for n in problem.names[len(calibrated.names) :] if n.effect not in bent]
         possible = possible_changes(problem, [*names, *shapes], [("", 0)])
         return most_probable_changes(problem, problem.zero_padded(estimate.x), possible)
 
@@ -100,8 +101,20 @@ def _with_plate_shapes(problem: Problem, width: float) -> Problem:
     new_unknowns = share_plate_shapes(
         extended.unknowns[len(problem.unknowns) :], problem.machine.catalogue
     )
-    narrow = (replace(unknown, prior_width=width) for unknown in new_unknowns)
-    return replace(problem, unknowns=(*problem.unknowns, *narrow))
+    bent = _effects_found(problem.machine.spec)
+    with_widths = (
+        replace(u, prior_width=max(SLAB_WIDTHS) if u.name.effect in bent else width)
+        for u in new_unknowns
+    )
+    return replace(problem, unknowns=(*problem.unknowns, *with_widths))
+
+
+def _effects_found(spec: MachineFile) -> set[str]:
+    """Return the effects that an earlier calibration found; those of a plate are in no machine
+    file, so they are neither small nor a change where the plate is touched again.
+    """
+    found = spec.provenance.get("effects", ())
+    return {effect_name(str(name)) for name in found} if isinstance(found, list | tuple) else set()
 
 
 def _with_parameters_released(
