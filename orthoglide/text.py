@@ -134,6 +134,11 @@ def sentence(text: str) -> str:
     return capital if capital.endswith("?") else f"{capital}."
 
 
+def lower_first(text: str) -> str:
+    """Return a sentence with a small first letter, to follow other words."""
+    return text[:1].lower() + text[1:]
+
+
 def listed(parts: Iterable[str]) -> str:
     """``a``, ``a and b``, ``a, b and c``."""
     items = list(parts)

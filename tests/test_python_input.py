@@ -135,7 +135,7 @@ def test_what_is_of_another_type(call: Callable[[], Any], words: str) -> None:
     ("none", lambda: og.Campaign.from_frame(None), "a NoneType: give a data frame"),
     ("a path", lambda: og.Campaign.from_frame("a.csv"), "a str: give a data frame"),
     ("points", lambda: og.Campaign.from_frame(POINTS), "a Readings: give a data frame"),
-    ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "a column that must be a list"),
+    ("a cell", lambda: og.Campaign.from_frame({"leg": 1}), "each column must be a list"),
 )
 def test_frames(call: Callable[[], Any], words: str) -> None:
     refused(call, words)

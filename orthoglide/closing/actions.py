@@ -19,7 +19,7 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
-from orthoglide.text import MACHINE_OPTION
+from orthoglide.text import MACHINE_OPTION, lower_first
 
 if TYPE_CHECKING:
     from orthoglide.closing.outcome import RunOutcome
@@ -36,7 +36,7 @@ _DIAL_REVERSAL_TEST = (
 )
 _ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _REPAIR = "Confirm the cause by its test, repair it, and measure again"
-_REPAIR_IF_DATA_HOLD = f"If the data prove right: {_REPAIR[0].lower()}{_REPAIR[1:]}"
+_REPAIR_IF_DATA_HOLD = f"If the data prove right: {lower_first(_REPAIR)}"
 _TEST_LIKELY = "Test what is likely, but not certain"
 _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"

@@ -7,7 +7,7 @@ regression*, eq. 17 and 56); or lost motion that builds up after a reversal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -52,10 +52,13 @@ class Kernel:
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight."""
-        if self.from_zero:
-            free = replace(self, from_zero=False)
-            pairs = zip(free.functions(u, which), free.functions(-1.0, which), strict=True)
-            return [value - start for value, start in pairs]
+        values = self._functions_with_level(u, which)
+        if not self.from_zero:
+            return values
+        start = self._functions_with_level(-1.0, which)
+        return [value - before for value, before in zip(values, start, strict=True)]
+
+    def _functions_with_level(self, u: Any, which: slice) -> list[Any]:
         phase = np.pi * (u + _INTERVAL_RATIO) / (2 * _INTERVAL_RATIO)
         return [
             float(self.weights[k]) * sin((k + 1) * phase) if k < self.waves else u

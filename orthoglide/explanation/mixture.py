@@ -290,10 +290,8 @@ class Mixture(Search):
 
     def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
         """Return a function of state and scale: the covariance of some coefficients ``(k, k)``."""
-        covariance, unknown_noise = (
-            marginal_covariances(self.linear, index),
-            self.linear.unknown_noise,
-        )
+        covariance = marginal_covariances(self.linear, index)
+        unknown_noise = self.linear.unknown_noise
 
         def covariance_in(state: State, scale: Scale) -> Array:
             noise_variance = 1.0

@@ -114,7 +114,7 @@ def _effects_found(spec: MachineFile) -> set[str]:
     file, so they are neither small nor a change where the plate is touched again.
     """
     found = spec.provenance.get("effects", ())
-    return {effect_name(str(name)) for name in found} if isinstance(found, list | tuple) else set()
+    return {effect_name(str(name)) for name in found} if isinstance(found, Sequence) else set()
 
 
 def _with_parameters_released(

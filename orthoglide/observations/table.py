@@ -149,7 +149,7 @@ def frame_table(df: Any, name: str) -> Table:
         columns = [[_frame_cell(value) for value in df[column]] for column in labels]
     except TypeError:
         raise FileError(
-            "has a column that must be a list: give a value for each row", file=name
+            "each column must be a list: give a value for each row", file=name
         ) from None
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from orthoglide.numerals import SIGMAS_95, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
-from orthoglide.text import sentence
+from orthoglide.text import lower_first, sentence
 from orthoglide.units import display_unit as spoken_unit
 
 SOMETHING_ELSE_WRONG = "Something else is wrong as well."
@@ -83,11 +83,6 @@ def probability_words(p: float) -> str:
     if p >= _CERTAIN:
         return "more than 99 % sure"
     return f"{100 * p:.0f} % {'sure' if p >= _SURE else 'likely'}"
-
-
-def lower_first(text: str) -> str:
-    """Return a sentence with a small first letter, to follow other words."""
-    return text[:1].lower() + text[1:]
 
 
 def _cause_claim(cause: Cause, option: Iterator[int]) -> Claim:

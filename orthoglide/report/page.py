@@ -18,7 +18,7 @@ from orthoglide.control import withholding_reason
 from orthoglide.figures.readings import MAX_DRAWN
 from orthoglide.figures.style import Drawing
 from orthoglide.numerals import compact, plain, probability, signed, with_sigma
-from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, lower_first
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims
 from orthoglide.report.fit_sentences import base_effects
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
@@ -37,7 +37,7 @@ from orthoglide.report.sentences import (
 )
 from orthoglide.result import Result
 from orthoglide.result.findings import FAULT_NAMES
-from orthoglide.text import listed, sentence
+from orthoglide.text import listed, lower_first, sentence
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -11,10 +11,10 @@ from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
-from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text, lower_first
+from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text
 from orthoglide.report.fit_sentences import base_effects, improvement_words, unseen_effects_text
 from orthoglide.result import Action, Change, Result
-from orthoglide.text import listed, sentence
+from orthoglide.text import listed, lower_first, sentence
 
 _ZEROS_FIRST_RATIO = 1.5  # residuals without over with new zeros from which the zeros come first
 _NO_RESIDUAL = 1e-9  # metres: residuals that no real machine attains

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from orthoglide.numerals import probability
-from orthoglide.report.claims import claims, lower_first
+from orthoglide.report.claims import claims
 from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
@@ -27,7 +27,7 @@ from orthoglide.report.sentences import (
     unvaried_words,
 )
 from orthoglide.result import Result
-from orthoglide.text import is_terminal, sentence, text_width
+from orthoglide.text import is_terminal, lower_first, sentence, text_width
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
