@@ -356,6 +356,10 @@ NOTICED: dict[str, tuple[Fault, str, int]] = {
     "a temperature that is missing": (
         chained(added("temperature_C", "21"), cell("temperature_C", "", 2)),
         "temperature_C is empty in 1 of 54 rows", 1),
+    "a clock that shows the time of day": (
+        changed(lambda t: t + 36e3, "time_s"), "time_s starts at 36", 1),
+    "a clock that runs when the session starts": (
+        changed(lambda t: t + 60, "time_s"), "time_s starts", 0),
 }  # fmt: skip
 
 

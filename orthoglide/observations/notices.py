@@ -22,6 +22,7 @@ def notices(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
     """Yield the warnings about a campaign of dials on legs."""
     yield from _note_still_dial(campaign, machine)
     yield from _note_partly_recorded(campaign)
+    yield from _note_late_clock(campaign)
 
 
 def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
@@ -52,3 +53,17 @@ def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
         if absent.any() and not absent.all():
             text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
             yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
+
+
+def _note_late_clock(campaign: Readings) -> Iterator[Note]:
+    """Note a clock whose zero is farther from the session than the session is long.
+
+    Bars that warm count from zero, so they would already have grown at the first reading.
+    """
+    time = campaign.time[np.isfinite(campaign.time)]
+    if len(time) and time.min() > np.ptp(time):
+        yield Note(
+            f"{TIME.name} starts at {time.min():.6g} s: it counts from the start of the session, "
+            f"when the machine was as cold as its tolerances say; a time of day is not meant",
+            TIME.name,
+        )
