@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from benchmarks.attribution_cases import base_errors
+from benchmarks.attribution_cases import background, base_errors
 from benchmarks.public import campaign as campaign_of
 from orthoglide.errors import InputError
 from orthoglide.fit import plausible
@@ -69,6 +69,22 @@ def test_other_orders_of_drives_that_fit_worse_are_not_solved(monkeypatch) -> No
     assert fit.sigma_scale > 20
     monkeypatch.setattr(plausible, "solve", lambda *_, **__: pytest.fail("an order was solved"))
     plausible.check_drive_order(fit)
+
+
+@pytest.mark.parametrize("draw", [22, 7])
+def test_two_dials_with_each_others_label_are_no_exchange_of_commands(draw: int) -> None:
+    """On worn machines, exchanged commands of both drives fit ten times better too."""
+    rng = np.random.default_rng([9400, draw])
+    rows = rc.protocol_rows("sweep")
+    setups = list(dict.fromkeys(row["setup"] for row in rows))
+    share = 1.0 if draw % 2 else 0.1
+    worn = Rig(errors=background(rng, setups, share) | base_errors(rng))
+    one, other = (s for s in setups if s[:2] in ("yz", "zy"))
+    mixed, lines = rc.swapped_labels(rc.simulate(worn, rows, rng), one, other)
+    verdict = studied(campaign_of(mixed), MACHINE)
+    (fault,) = verdict.blunders
+    assert fault.kind == "exchanged_labels"
+    assert {row for _, row in fault.rows_in_request} == set(lines)
 
 
 def test_one_dial_does_not_tell_whose_columns_were_exchanged() -> None:

@@ -6,9 +6,9 @@ Checks that need only the table and the machine file are made on reading (`obser
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 
 import numpy as np
 
@@ -171,11 +171,13 @@ _MIN_SIGMA_SCALE = 20.0
 """Ratio of residuals to noise from which drives may be exchanged: part errors rarely reach it."""
 
 _MIN_IMPROVEMENT = 10.0  # ratio of the residuals before and after the exchange
-_TIE_RATIO = 2.0  # orders with residuals up to this ratio above the best are not told apart
+_TIE_RATIO = 2.0  # with residuals up to this ratio above the best, neither is told from it
 
 
 def check_drive_order(estimate: Estimate) -> None:
     """Refuse campaigns whose readings fit only with the commands of drives exchanged.
+
+    Two dials with each other's label are no such campaign; they are a fault of the data.
 
     Raises:
         InputError: naming the files, and the drives.
@@ -187,41 +189,59 @@ def check_drive_order(estimate: Estimate) -> None:
     subsets = [tuple(campaigns), *((k,) for k in campaigns if len(campaigns) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
     trials = [
-        (_scale_with_exchanged_drives(estimate, subset, order), subset, order)
+        (_sigma_scale(_with_drives_exchanged(problem, subset, order), scale), subset, order)
         for subset in subsets
         for order in orders
     ]
     best, subset, order = min(trials)
-    if best * _MIN_IMPROVEMENT < scale:
-        files = ", ".join(source(problem.campaigns[k]) for k in subset)
-        drives = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
-        exchange = f"with the commands {' and '.join(drives)}"
-        if sum(other < _TIE_RATIO * best for other, s, _ in trials if s == subset) > 1:
-            exchange = "with the commands in another order of drives, which they cannot tell"
-        raise InputError(
-            f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
-            f"exchange the columns, or else the legs and directions of all dials"
-        )
+    if best * _MIN_IMPROVEMENT >= scale:
+        return
+    tied = _TIE_RATIO * best
+    if any(_sigma_scale(other, tied) < tied for other in _with_two_dials_exchanged(problem)):
+        return
+    files = ", ".join(source(problem.campaigns[k]) for k in subset)
+    drives = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
+    exchange = f"with the commands {' and '.join(drives)}"
+    if sum(other < tied for other, s, _ in trials if s == subset) > 1:
+        exchange = "with the commands in another order of drives, which they cannot tell"
+    raise InputError(
+        f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
+        f"exchange the columns, or else the legs and directions of all dials"
+    )
 
 
-def _scale_with_exchanged_drives(
-    estimate: Estimate, subset: tuple[int, ...], order: tuple[int, ...]
-) -> float:
-    """Return the ratio of residuals to noise with some campaigns' drives exchanged; infinite if
-    even a linear fit without priors leaves more than the estimate does.
-    """
-    problem, to = estimate.problem, list(order)
-    factors = list(problem.leg_factors)
+def _with_drives_exchanged(
+    problem: Problem, subset: tuple[int, ...], order: tuple[int, ...]
+) -> Problem:
+    """Return the problem with the commands of some campaigns in another order of drives."""
+    to, factors = list(order), list(problem.leg_factors)
     for k in subset:
         old = factors[k].readings
         moves = replace(old.moves, command=old.moves.command[:, to])
         new = replace(old, command=old.command[:, to], approach=old.approach[:, to], moves=moves)
         factors[k] = factors[k].with_table(new)
-    exchanged = problem.with_leg_factors(factors)
+    return problem.with_leg_factors(factors)
+
+
+def _with_two_dials_exchanged(problem: Problem) -> Iterator[Problem]:
+    """Yield the problem with the labels of two setups exchanged, for any two of a campaign."""
+    for k, factor in enumerate(problem.leg_factors):
+        for a, b in combinations(range(len(factor.readings.setups)), 2):
+            setups, factors = list(factor.readings.setups), list(problem.leg_factors)
+            setups[a] = replace(factor.readings.setups[b], name=setups[a].name)
+            setups[b] = replace(factor.readings.setups[a], name=setups[b].name)
+            factors[k] = factor.with_table(replace(factor.readings, setups=tuple(setups)))
+            yield problem.with_leg_factors(factors)
+
+
+def _sigma_scale(problem: Problem, bound: float) -> float:
+    """Return the ratio of residuals to noise; infinite if even a linear fit without priors leaves
+    more than ``bound``.
+    """
     try:
-        if _linear_scale(exchanged) > estimate.sigma_scale:
+        if _linear_scale(problem) > bound:
             return np.inf
-        return solve(exchanged, method="nested").sigma_scale
+        return solve(problem, method="nested").sigma_scale
     except NumericsError:
         return np.inf
 
