@@ -71,6 +71,19 @@ def test_other_orders_of_drives_that_fit_worse_are_not_solved(monkeypatch) -> No
     plausible.check_drive_order(fit)
 
 
+def test_a_wrong_sign_is_found_beside_a_large_cause() -> None:
+    """It was told as an offset of a short link and a second tilt, beside the true one."""
+    rng = np.random.default_rng(5)
+    leaning = Rig(errors={**base_errors(rng), "rail_tilt.z.y": 6e-3})
+    rows = rc.simulate(leaning, rc.protocol_rows("standard"), rng)
+    turned = rc.swapped_sign(rows, "zx-0.5").rows
+    verdict = studied(campaign_of(turned), MACHINE)
+    (fault,) = verdict.blunders
+    assert (fault.kind, fault.setups) == ("sign", ("zx-0.5",))
+    assert [cause.name for cause in verdict.effects] == ["rail_tilt.z.y"]
+    assert verdict.effects[0].chosen.value == pytest.approx(6e-3, rel=0.1)
+
+
 @pytest.mark.parametrize("draw", [22, 7])
 def test_two_dials_with_each_others_label_are_no_exchange_of_commands(draw: int) -> None:
     """On worn machines, exchanged commands of both drives fit ten times better too."""

@@ -263,7 +263,7 @@ def test_a_covariance_is_one_however_exact_the_readings(exact: float) -> None:
     for scale in mixture.scales:
         found = mixture._covariances(at)(state, scale)
         assert np.linalg.eigvalsh(found).min() > 0
-        spread = mixture._slab_root(state)
+        spread = mixture.slab_root(state)
         prior = np.linalg.cholesky(np.diag(scale.spike) + spread @ spread.T)
         rows = mixture.linear.columns / np.sqrt(1 + scale.noise**2)
         inverse = np.linalg.inv(np.linalg.qr(np.vstack([np.linalg.inv(prior), rows]))[1])

@@ -69,13 +69,17 @@ class FullLikelihood:
     group: NDArray[np.int64]  # row of each reading (n,)
     scales: Scales
     square: Array | None = None  # ``S`` or ``1 + A^T A``, see ``_square``, if it is known
+    # root of the covariance that active groups add to the coefficients (C, k)
+    slab_root: Array | None = None
 
     @classmethod
-    def from_linear_model(cls, model: LinearisedModel, scales: Scales) -> FullLikelihood:
-        """Linearise the readings about the posterior."""
+    def from_linear_model(
+        cls, model: LinearisedModel, scales: Scales, slab_root: Array
+    ) -> FullLikelihood:
+        """Linearise the readings about the posterior, with the slab of some active groups."""
         nuisance = model.nuisance
         precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        columns, expected = in_standard_deviations(model, model.rows.distinct, scales)
+        columns, expected = in_standard_deviations(model, model.rows.distinct, scales, slab_root)
         group, means = model.rows.index, nuisance.of_means(model.rows.index)
         return cls(
             nuisance.weighing,
@@ -85,6 +89,7 @@ class FullLikelihood:
             ),
             group,
             scales,
+            slab_root=slab_root,
         )
 
     @cached_property
@@ -216,13 +221,14 @@ def _log_determinant(cholesky: Array) -> float:
 
 
 def in_standard_deviations(
-    model: LinearisedModel, rows: Array, scales: Scales
+    model: LinearisedModel, rows: Array, scales: Scales, slab_root: Array | None
 ) -> tuple[Array, Array]:
-    """Return rows ``(n, C)`` scaled to a standard deviation of each coefficient, and their prior
-    mean ``(n,)``. Parameters of an earlier calibration have its mean and covariance.
+    """Return rows ``(n, C)`` scaled to a standard deviation of each coefficient and of each
+    direction of the slab ``(C, k)``, and their prior mean ``(n,)``. Parameters of an earlier
+    calibration have its mean and covariance.
     """
     sd = np.sqrt(model.linear.spike(*scales))
-    columns = rows * sd
+    columns = rows * sd if slab_root is None else np.hstack([rows * sd, rows @ slab_root])
     matrix, target = model.prior_rows
     if not len(target):
         return columns, np.zeros(len(rows))

@@ -186,12 +186,12 @@ class Mixture(Search):
         Residual shapes of plates are included only if ``plate_shapes`` is true.
         """
         columns = self.linear.columns
-        slabs = columns @ self._slab_root(state)
+        slabs = columns @ self.slab_root(state)
         excluded = self.linear.plate_shapes & (not plate_shapes)
         cov = (columns * np.where(excluded, 0.0, scale.spike)) @ columns.T + slabs @ slabs.T
         return np.asarray(np.linalg.inv(cov + np.eye(len(cov))), dtype=np.float64)
 
-    def _slab_root(self, state: State) -> Array:
+    def slab_root(self, state: State) -> Array:
         """Return a root of the slab covariance of a state's active groups ``(C, q)``."""
         count = len(self.linear.fixed_sd)
         blocks = [np.zeros((count, 0))]
@@ -211,7 +211,7 @@ class Mixture(Search):
     def likeliest_variance(self, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return posterior and prior variance of coefficients in the best state ``(k,)``."""
         scale = self._likeliest_scale(self.best)
-        prior = scale.spike[index] + np.sum(self._slab_root(self.best)[index] ** 2, axis=1)
+        prior = scale.spike[index] + np.sum(self.slab_root(self.best)[index] ** 2, axis=1)
         return np.diag(self._covariances(index)(self.best, scale)), prior
 
     def _likeliest_scale(self, state: State) -> Scale:
@@ -283,7 +283,7 @@ class Mixture(Search):
     def _mean(self, state: State, scale: Scale) -> Array:
         """Return the mean of all coefficients in a state at a scale ``(C,)``."""
         left, shrink = self._active_directions(scale, state)
-        slab_root = self._slab_root(state)
+        slab_root = self.slab_root(state)
         shrunk_once = shrink_along(scale.residual, left, shrink)
         products = scale.products_with_columns(shrink_along(shrunk_once, left, shrink))
         return np.asarray(scale.spike * products + slab_root @ (slab_root.T @ products))
@@ -298,7 +298,7 @@ class Mixture(Search):
             if unknown_noise is not None:
                 explained = self._partial_products(state).explained[0]
                 noise_variance = unknown_noise.variance(float(explained))
-            return noise_variance * covariance(scale, self._slab_root(state))
+            return noise_variance * covariance(scale, self.slab_root(state))
 
         return covariance_in
 
@@ -360,7 +360,7 @@ class Mixture(Search):
         for (weight, state, scale), mean in zip(self._terms, self._means, strict=True):
             covariance = covariance_of(state, scale)
             second_moment[block] += weight * (covariance + np.outer(mean[index], mean[index]))
-            slab_root = self._slab_root(state)[index]
+            slab_root = self.slab_root(state)[index]
             prior[block] += weight * (np.diag(scale.spike[index]) + slab_root @ slab_root.T)
         second_moment[block] -= np.outer(self.mean[index], self.mean[index])
         return second_moment, prior

@@ -9,7 +9,7 @@ residual of the readings, and then from what the readings with these turns corre
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -37,8 +37,8 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 _MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
 _MOST_RANKED = 3  # alternatives that are searched in full: 6 changed no result
 
-BACKGROUND_SCALES: Sequence[Scales] = ((0.01, 0.003), (0.1, 0.1), (1.0, 0.1), (1.0, 3.0))
-"""Backgrounds under which misreadings of dials are ranked: a sound machine, a usual one, one off by
+BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
+"""Backgrounds under which misreadings of dials are ranked: a usual machine, a sound one, one off by
 all its tolerances, and one with free-form errors everywhere."""
 
 
@@ -63,7 +63,8 @@ def likeliest_misreading(
         alternatives: to be compared.
         rows_by_setup: rows of their setups, in the order they were taken.
         other_evidence: log evidence of another explanation of the readings.
-        background_scales: under which alternatives are ranked.
+        background_scales: under which alternatives are ranked; the first also beside the groups
+            that are active in the readings as they stand.
     """
     best: tuple[float, Fault | None]
     # Decisively, as the prior probability of a misreading is a guess.
@@ -75,7 +76,7 @@ def likeliest_misreading(
         # A search finds more to explain in the readings as they stand, where a misreading is left,
         # than in those with it corrected: the ranked odds are hardly ever exceeded by the final.
         if posterior.evidence + log_odds + TWENTY_TO_ONE < best[0]:
-            break
+            continue
         try:
             corrected = with_faults_corrected(base.problem, [alternative])
             other = posterior_at_base_fit(fit_nested(corrected))
@@ -129,12 +130,13 @@ def _rank(
     least: float,
 ) -> list[tuple[float, Fault]]:
     """Return the alternative readings whose log odds against the readings as they stand exceed the
-    least ones, the likeliest first, each after its log odds.
+    least ones, each after its log odds: the likeliest on a machine with some of the groups that are
+    active in the readings as they stand, and then the likeliest on a machine without any.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if not alternatives or len(problem.measured) > _MOST_READINGS:
         return []
-    likelihoods = _likelihoods(model, background_scales)
+    likelihoods, costs = _backgrounds(posterior, background_scales)
     deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, deletions, dials)]
@@ -142,56 +144,60 @@ def _rank(
         *(corrected_readings(problem, fault) for fault in alternatives), strict=True
     )
     all_changes = np.column_stack([problem.measured, *corrected]) - problem.measured[:, None]
-    by_scale = np.stack([w.log_likelihood(all_changes) for w in likelihoods])
-    as_read, *scores = np.logaddexp.reduce(by_scale, axis=0)
-    pairs = list(zip(by_scale[:, 0], deletions, strict=True))
-    limits = {s: max(p + without[s].relabelling_limit for p, without in pairs) - as_read
-              for s in rows_by_setup}  # fmt: skip
-    # A misreading may come beside the data faults that are active, or in place of them.
-    model_with_faults, cost = _with_active_faults_fixed(posterior)
-    if cost:
-        with_faults = _likelihoods(model_with_faults, background_scales)
-        each = [w.log_likelihood(all_changes) for w in with_faults]
-        as_read, *scores = np.maximum([as_read, *scores], np.logaddexp.reduce(each) - cost)
-    for k, fault in enumerate(alternatives):
+    logs = np.stack([w.log_likelihood(all_changes) for w in likelihoods]) - costs[:, None]
+    selections = slice(None), slice(len(background_scales))
+    as_read = [np.logaddexp.reduce(logs[part, 0]) for part in selections]
+    limits = dict[int, float]()
+    for s in rows_by_setup:
+        without = logs[:, 0] + [deletion[s].relabelling_limit for deletion in deletions]
+        limits[s] = max(
+            float(without[part].max() - log) for part, log in zip(selections, as_read, strict=True)
+        )
+    for k, fault in enumerate(alternatives, 1):
         if fault.relabels:
-            limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
-            if limit > least:
-                scores[k] = _relabelled_log_likelihood(model, likelihoods, fault)
+            limit = sum(limits[s] for s in setups_of(problem, fault))
+            if fault.log_odds + limit > least:
+                logs[:, k] = _relabelled_log_likelihoods(model, likelihoods, fault) - costs
             else:
-                scores[k] = -np.inf
-        elif len(lost[k]):
-            deleted = [p + w.deletion(lost[k], all_changes[:, k + 1]).gain
-                       for p, w in zip(by_scale[:, k + 1], likelihoods, strict=True)]  # fmt: skip
-            scores[k] = np.logaddexp.reduce(deleted)
-    gains = np.array([s + a.log_odds - as_read for s, a in zip(scores, alternatives, strict=True)])
-    order = descending(gains, LOG_ODDS_MARGIN)[:_MOST_RANKED]
-    return [(float(gains[k]), alternatives[k]) for k in order if gains[k] > least]
+                logs[:, k] = -np.inf
+        elif len(lost[k - 1]):
+            changes, rows = all_changes[:, k], lost[k - 1]
+            logs[:, k] += [w.deletion(rows, changes).gain for w in likelihoods]
+    ranked_odds = dict[int, float]()
+    for part, log_as_read in zip(selections, as_read, strict=True):
+        log_odds = np.array([fault.log_odds for fault in alternatives])
+        log_odds += np.logaddexp.reduce(logs[part, 1:], axis=0) - log_as_read
+        for k in descending(log_odds, LOG_ODDS_MARGIN)[:_MOST_RANKED]:
+            ranked_odds[k] = max(float(log_odds[k]), ranked_odds.get(k, -np.inf))
+    return [(odds, alternatives[k]) for k, odds in ranked_odds.items() if odds > least]
 
 
-def _likelihoods(
-    model: LinearisedModel, background_scales: Sequence[Scales]
-) -> list[FullLikelihood]:
-    return [FullLikelihood.from_linear_model(model, scales) for scales in background_scales]
+def _backgrounds(
+    posterior: FullPosterior, background_scales: Sequence[Scales]
+) -> tuple[list[FullLikelihood], Array]:
+    """Return likelihoods under several backgrounds, and the log odds against each ``(b,)``.
 
-
-def _with_active_faults_fixed(posterior: FullPosterior) -> tuple[LinearisedModel, float]:
-    """Return the full model with a fixed prior scale of active data faults, and the log odds
-    against these faults.
+    A misreading may come beside groups that are active in the readings as they stand, or in place
+    of them: beside none, one, all but one, or all.
     """
-    model, linear, cost = posterior.linearised, posterior.linearised.linear, 0.0
-    fixed = linear.fixed_sd.copy()
-    for k, tau in posterior.mixture.best:
-        if linear.groups[k].of_data:
-            fixed[linear.groups[k].coefficients] = tau
-            cost += float(posterior.mixture.cost[k])
-    return replace(model, linear=replace(linear, fixed_sd=fixed)), cost
+    model, mixture = posterior.linearised, posterior.mixture
+    likelihoods, costs = list[FullLikelihood](), list[float]()
+    count = len(mixture.best)
+    for size in sorted({0, min(1, count), max(count - 1, 0), count}):
+        for state in combinations(mixture.best, size):
+            root, cost = mixture.slab_root(state), sum(mixture.cost[group] for group, _ in state)
+            for scales in background_scales[: 1 if state else None]:
+                likelihoods.append(FullLikelihood.from_linear_model(model, scales, root))
+                costs.append(float(cost))
+    return likelihoods, np.array(costs)
 
 
-def _relabelled_log_likelihood(
+def _relabelled_log_likelihoods(
     model: LinearisedModel, likelihoods: Sequence[FullLikelihood], fault: Fault
-) -> float:
-    """Return the log likelihood of readings under other labels, with setups at unknown places."""
+) -> Array:
+    """Return the log likelihoods ``(b,)`` of readings under other labels, with setups at unknown
+    places.
+    """
     corrected, changed = with_faults_corrected(model.problem, [fault]), np.sort(fault.rows)
     linearised = linearise(corrected, model.point)
     jacobian = linearised.jacobian[changed]
@@ -203,12 +209,14 @@ def _relabelled_log_likelihood(
     nuisance = nuisances(corrected, linearised.reading_poses)
     placed = nuisance.columns[changed] / np.sqrt(np.maximum(nuisance.precision, WIDEST_DATUM**-2.0))
     placed = placed[:, placed.any(axis=0)]
-    by_scale = []
+    logs = []
     for likelihood in likelihoods:
-        columns, expected = in_standard_deviations(model, rows, likelihood.scales)
+        columns, expected = in_standard_deviations(
+            model, rows, likelihood.scales, likelihood.slab_root
+        )
         relabelled = likelihood.relabelled(changed, columns, placed, residual - expected)
-        by_scale.append(relabelled.log_likelihood(np.zeros((len(model.value_at_zero), 1)))[0])
-    return float(np.logaddexp.reduce(by_scale))
+        logs.append(relabelled.log_likelihood(np.zeros((len(model.value_at_zero), 1)))[0])
+    return np.array(logs)
 
 
 HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
