@@ -238,7 +238,7 @@ def _suspect_of_change(change: Change, k: int) -> Suspect:
 
 
 def located_error_test(curve: Curve) -> str:
-    """Return the test that shows lost motion of a located error; empty for other errors."""
+    """Return the test that shows lost motion or a step of a located error; else empty."""
     place: FreeForm = curve.place
     size = curve.size_words
     if place.of_dial:
@@ -249,9 +249,13 @@ def located_error_test(curve: Curve) -> str:
         "rail": f"carriage {leg} along {place.direction}",
         "platform": f"the end of leg {leg} at the platform along {place.direction}",
     }.get(place.part)
-    if not place.depends_on_approach or spot is None:
+    if spot is None or not (place.depends_on_approach or place.is_step):
         return ""
     spot = place.names.in_layout_words(spot)
+    if place.is_step:
+        low, high = place.travels_of_step
+        way = f"{high} to {low}" if place.side < 0 else f"{low} to {high}"
+        return f"read a dial on {spot} every millimetre from {way} mm: expect a step of {size}"
     if place.against == "approach":
         return (
             f"set a dial on {spot} and come to one place from smaller and from larger travel of "

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.free_form import (
@@ -16,28 +16,46 @@ from orthoglide.effects.free_form import (
     free_forms,
     scaled_to_machine,
 )
-from orthoglide.effects.kernels import Bump, Jump
+from orthoglide.effects.kernels import Bump, Step
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames
 
 _UM = 1e-6
 
 
-def may_jump(form: FreeForm) -> bool:
-    """Return whether a free-form error that changes with time may also jump.
+_SHALLOW = 20.0
+"""Least width of a step of a calibrated machine, in prior standard deviations of its height: twice
+the largest slab, so that every position of a carriage belongs to one command."""
 
-    One bar snaps, or one drive loses steps; several parts do not jump at the same moment, and no
-    scale does.
+
+def jumping(form: FreeForm) -> tuple[FreeForm, ...]:
+    """Return the errors that jump, at a moment or at a place of the travel, if a free-form error
+    may; a place where a drive steps may be passed in both directions or in one.
+
+    One bar snaps, one drive loses steps, or its scale is joined of two pieces; several parts do not
+    jump at the same moment, and no scale does.
     """
-    single_part = form.leg >= 0 and (form.part == "drive" or bool(form.direction))
-    return form.against == "time" and single_part and not form.is_line
+    if form.against == "time":
+        single_part = form.leg >= 0 and (form.part == "drive" or bool(form.direction))
+        return (form,) if single_part and not form.is_line else ()
+    if form.part != "drive" or form.against not in ("travel", "approach") or form.short_waves:
+        return ()
+    if form.against == "travel":
+        return (form,)
+    # As high as a step that is passed in both directions; one way or the other is half as frequent.
+    sd, chance = 2 * form.prior_sd, 0.25
+    return tuple(replace(form, side=side, prior_sd=sd, chance=chance) for side in (1, -1))
 
 
-def with_jump(form: FreeForm, moment: float) -> FreeForm:
-    """Return a free-form error that changes with time, with a jump instead of a slow change."""
-    start, end = form.span or (0.0, 1.0)
-    jump = Jump(2 * (moment - start) / (end - start) - 1)
-    return replace(form, kernel=jump, jump=moment)
+def with_jump(form: FreeForm, jump: Range, stroke: Range) -> FreeForm:
+    """Return a free-form error with a jump between two moments or travels instead of a slow change.
+
+    ``stroke``: first and last travel, metres.
+    """
+    start, end = form.interval(stroke)
+    low, high = (2 * (at - start) / (end - start) - 1 for at in jump)
+    least = None if form.against == "time" else 2 * _SHALLOW * form.prior_sd / (end - start)
+    return replace(form, kernel=Step(low, high, least), jump=jump)
 
 
 _BUMP_WIDTHS: dict[Part, tuple[float, ...]] = {"drive": (0.008,), "rail": (0.008, 0.016, 0.032)}
@@ -100,26 +118,29 @@ def with_dial_bump(form: FreeForm, reading: float, width: float, count: int) -> 
     return replace(form, kernel=bump, bump=reading, prior_sd=_DIAL_BUMP_HEIGHT, chance=1 / count)
 
 
+_TRAVEL = r"_?\d+(?:_\d)?"  # millimetres, in the name of an effect
+
+
+def _travel(text: str) -> float:
+    """Return a travel in the name of an effect, metres."""
+    return float(re.sub("^_", "-", text).replace("_", ".")) * 1e-3
+
+
 def _bump_travel(effects: Iterable[str]) -> set[float]:
     """Return the travel of the bumps among names of effects, metres; see `FreeForm.name`."""
-    positions = set()
-    for name in effects:
-        if match := re.fullmatch(r".*_travel_(_?)(\d+)(?:_(\d))?(?:w\d+)?", name):
-            distance = float(f"{match[2]}.{match[3] or 0}") * 1e-3
-            positions.add(-distance if match[1] else distance)
-    return positions
+    matches = (re.fullmatch(rf".*_travel_({_TRAVEL})(?:w\d+)?", name) for name in effects)
+    return {_travel(match[1]) for match in matches if match}
 
 
-def _jumps(effects: Iterable[str], names: LegNames) -> tuple[FreeForm, ...]:
-    """Return the jumps at the moments among names of effects; see `FreeForm.name`."""
-    matches = (re.fullmatch(r".*_time_(?:(\d+)s|order(\d+))", name) for name in effects)
-    moments = {(m[1] is not None, float(m[1] or m[2])) for m in matches if m}
-    return tuple(
-        with_jump(form, moment)
-        for timed, moment in sorted(moments)
-        for form in free_forms(Session(0.0, 1.0, timed), names)  # a jump is the same in any session
-        if may_jump(form)
-    )
+def _jumps(effects: Iterable[str], forms: Iterable[FreeForm], stroke: Range) -> Iterator[FreeForm]:
+    """Yield the jumps of free-form errors among names of effects; see `FreeForm.name`."""
+    for form, name in product(chain(*map(jumping, forms)), sorted(effects)):
+        spot = name.removeprefix(f"{form.effect.name}_")
+        if match := re.fullmatch(r"(\d+)s|order(\d+)", spot):
+            moment = float(match[1] or match[2])
+            yield with_jump(replace(form, timed=match[1] is not None), (moment, moment), stroke)
+        elif match := re.fullmatch(f"({_TRAVEL})to({_TRAVEL})(?:up|down)?", spot):
+            yield with_jump(form, (_travel(match[1]), _travel(match[2])), stroke)
 
 
 def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
@@ -127,8 +148,8 @@ def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geomet
     wanted = {name.partition(".")[0] for name in names} - set(catalogue)
     if not wanted:
         return catalogue
-    forms = free_forms(None, catalogue.legs, geometry.stroke, geometry.scale)
-    forms += travel_bumps([_bump_travel(wanted)] * len(LEGS), catalogue.legs, geometry.stroke,
-                   geometry.scale)  # fmt: skip
-    forms += _jumps(wanted, catalogue.legs)
+    machine = catalogue.legs, geometry.stroke, geometry.scale
+    forms = free_forms(Session(0.0, 1.0), *machine)  # a jump is the same in any session
+    jumps = _jumps(wanted, forms, geometry.stroke)
+    forms = (*forms, *travel_bumps([_bump_travel(wanted)] * len(LEGS), *machine), *jumps)
     return catalogue.with_effects(form.effect for form in forms if form.effect.name in wanted)

@@ -14,8 +14,9 @@ from functools import cached_property, partial
 from itertools import product
 from typing import Any, Literal
 
+from orthoglide.effects import kernels
 from orthoglide.effects.effect import Effect
-from orthoglide.effects.kernels import BuildUp, Bump, Jump, Kernel, Level
+from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level, Step
 from orthoglide.effects.motions import LegConditions, Motion
 from orthoglide.effects.words import Words, toward
 from orthoglide.geometry import LEGS
@@ -26,7 +27,7 @@ from orthoglide.units import MM, RAD
 Dependence = Literal["travel", "approach", "reversal", "command", "time", "reading"]
 Part = Literal["drive", "screw", "rail", "carriage", "bar", "platform", "dial"]
 Range = tuple[float, float]
-FreeFunctions = Kernel | BuildUp | Bump | Jump | Level
+FreeFunctions = Kernel | BuildUp | Bump | Step | Level
 _UM = 1e-6
 
 
@@ -49,8 +50,10 @@ class FreeForm:
     short_waves: bool = False
     bump: float | None = None  # travel, or a dial's reading, of a bump, metres; `None`: it is none
     wide: float = 0.0  # standard deviation of a wide bump, metres; 0 of a narrow one
-    jump: float | None = None  # moment at which it jumps; `None`: it does not
+    jump: Range | None = None  # moments or travels between which it jumps; `None`: it does not
     timed: bool = True  # whether moments are seconds; else they count the readings
+    # from which it comes where it steps, with `against` `"approach"`: 1 smaller, -1 larger travel
+    side: int = 0
     chance: float = 1.0  # prior weight relative to other free-form errors
 
     @property
@@ -81,11 +84,10 @@ class FreeForm:
         """Unique, such as ``rail.x.y/travel``."""
         if self.bump is not None:
             width = f"w{self.wide * 1e3:.0f}" if self.wide else ""
-            return (
-                f"{self.location_key}@{round(self.bump * 1e3, 2 if self.of_dial else 1):g}{width}"
-            )
+            spot = round(self.bump * 1e3, 2 if self.of_dial else 1)
+            return f"{self.location_key}@{spot:g}{width}"
         if self.jump is not None:
-            return f"{self.location_key}@{self.moment.replace(' ', '')}"
+            return f"{self.location_key}@{self.spot.replace(' ', '')}"
         if self.is_line:
             return f"{self.location_key}-line"
         return self.location_key.replace("/travel", "/waves" if self.short_waves else "/travel")
@@ -109,6 +111,11 @@ class FreeForm:
     def is_line(self) -> bool:
         """Whether it is proportional to its variable, as one shape of a wider free function."""
         return isinstance(self.kernel, Kernel) and self.kernel.waves == 0
+
+    @property
+    def is_step(self) -> bool:
+        """Whether it is a step along the travel; its second coefficient is that of its place."""
+        return self.jump is not None and self.against != "time"
 
     @property
     def only_if_active(self) -> bool:
@@ -157,10 +164,9 @@ class FreeForm:
 
     @cached_property
     def effect(self) -> Effect:
-        """The effect with one parameter a coefficient, for a machine that has this error; after a
-        jump it is constant.
-        """
+        """The effect with one parameter a coefficient, for a machine that has this error."""
         unit = RAD if self.is_rotation else MM
+        kernel = self.kernel.lasting if isinstance(self.kernel, Step) else self.kernel
         words = self.words
         return Effect(
             re.sub(r"\W", "_", self.name),  # a setup may be called anything
@@ -169,7 +175,7 @@ class FreeForm:
             because="what no known shape explains is a few hundredths",
             sentence=words,
             look_at=self.look_at,
-            members=partial(_members, self if self.jump is None else replace(self, kernel=Level())),
+            members=partial(_members, replace(self, kernel=kernel)),
             words=Words(many=words),
             paired=True,
             names=self.names,
@@ -179,9 +185,8 @@ class FreeForm:
     def words(self) -> str:
         """Clause with the location and the kind of the error."""
         if self.leg < 0 and not self.of_dial:
-            fault = "change their scales equally"
-            if self.part == "drive":
-                fault = "go equally wrong along their axes"
+            scales = self.part == "screw"
+            fault = "change their scales equally" if scales else "go equally wrong along their axes"
             return f"all drives {fault} {self._time_words}"
         if self.of_dial:
             if not self.setup:
@@ -196,15 +201,18 @@ class FreeForm:
             return f"the dial of {self.setup} {fault}"
         leg = self.names.legs[self.leg]
         depending = "in proportion to" if self.is_line else "depending on"
+        side = "smaller" if self.side > 0 else "larger"
         dependence = {
             "travel": self._travel_words,
-            "approach": "depending on the side it is approached from",
+            "approach": f"{self._travel_words} where it comes from {side} travel"
+            if self.side
+            else "depending on the side it is approached from",
             "reversal": "depending on the distance since it reversed",
             "command": f"{depending} the command of drive {self.names.legs[self.command_drive]}",
             "time": self._time_words,
         }[self.against]
         fault = {
-            "drive": f"drive {leg} goes wrong along its axis",
+            "drive": f"drive {leg} {'steps' if self.is_step else 'goes wrong'} along its axis",
             "screw": f"drive {leg} changes its scale",
             "rail": f"the path of the {leg} carriage leaves its line toward "
             f"{toward(self.direction, 1.0)}",
@@ -218,15 +226,26 @@ class FreeForm:
         return self.names.in_layout_words(f"{fault} {dependence}")
 
     @property
-    def moment(self) -> str:
-        """Moment of a jump: ``1710 s``, or ``order 57`` of the last reading before it."""
-        jump = 0.0 if self.jump is None else self.jump
-        return f"{jump:.0f} s" if self.timed else f"order {math.floor(jump)}"
+    def spot(self) -> str:
+        """Moment of a jump: ``1710 s``, or ``order 57`` of the last reading before it; or the
+        travels between which it is, millimetres, and the way: ``-5 to 20 up``.
+        """
+        low, high = self.jump or (0.0, 0.0)
+        if self.is_step:
+            way = ("", " up", " down")[self.side]
+            return f"{round(low * 1e3, 1):g} to {round(high * 1e3, 1):g}{way}"
+        middle = (low + high) / 2
+        return f"{middle:.0f} s" if self.timed else f"order {math.floor(middle)}"
+
+    @property
+    def travels_of_step(self) -> list[str]:
+        """The travels between which it steps, in millimetres."""
+        return [compact(round(travel * 1e3, 1), 4) for travel in self.jump or ()]
 
     @property
     def _time_words(self) -> str:
         if self.jump is not None:
-            return f"suddenly {'at' if self.timed else 'after'} {self.moment}"
+            return f"suddenly {'at' if self.timed else 'after'} {self.spot}"
         return "in proportion to time" if self.is_line else "with time"
 
     @property
@@ -234,6 +253,8 @@ class FreeForm:
         if self.bump is not None:
             reach = f"within {2e3 * self.wide:.0f} mm of" if self.wide else "at"
             return f"{reach} travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
+        if self.jump is not None:
+            return "between travel {} and {} mm".format(*self.travels_of_step)
         return "in short waves along its travel" if self.short_waves else "depending on its travel"
 
     @property
@@ -260,7 +281,8 @@ class FreeForm:
             return list(conditions.built_up[which])
         values = self.kernel.functions(self._variable(conditions), which)
         if self.against == "approach":
-            return [value * conditions.approach / 2 for value in values]
+            share = (abs(self.side) + (self.side or 1) * conditions.approach) / 2
+            return [value * share for value in values]
         if self.part == "screw":
             half = (conditions.stroke[1] - conditions.stroke[0]) / 2
             return [value * (conditions.nominal_travel / half) for value in values]
@@ -294,29 +316,10 @@ def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> A
     return share * form.functions(conditions, slice(k, k + 1))[0]
 
 
-_LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
-_FINE, _COARSE = Kernel(0.030 / _LENGTH, 12), Kernel(0.050 / _LENGTH, 8)
-_FINE_AND_LINE = replace(_FINE, line=True)
-# A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
-_DRIVE, _LOST = Kernel(0.030 / _LENGTH, 96, rough=0.1), Kernel(0.030 / _LENGTH, 24, rough=0.1)
-# Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
-_SCREW = Kernel(0.003 / _LENGTH, 96)
-_ACROSS = Kernel(0.050 / _LENGTH, 8, line=True)
-# Most couplings are proportional: a free function pays for shapes that they do not have.
-_LINE = Kernel(1.0, 0, line=True)
-# Warmth comes and goes slowly, and begins at once. The machine is that of the session's start: with
-# the mean change in it, other causes seem active. Half of the functions leave a part to a dial.
-_DRIFT = Kernel(0.5, 24, rough=0.1, from_zero=True)
-_STEADY = replace(_LINE, from_zero=True)
 _SCREW_GROWTH = 10 * _UM  # half a stroke of steel, 80 mm, that warms by ten kelvin
 # Linear warming of a drive is as frequent as that of bars, which is a cause of the catalogue: ten
 # times as frequent as a free-form error.
 _WARMTH_CHANCE = 10.0
-# Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
-# stroke. On a stroke of less than three such waves the kernels above describe them as well.
-_SHORT, _SHORT_FROM = 0.015, 1.5 * _LENGTH
-_PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
-BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 
 
 @dataclass(frozen=True)
@@ -328,15 +331,10 @@ class Session:
     timed: bool = True  # whether moments are seconds; else they count the readings
 
 
-def _short_wave_kernel(half: float) -> Kernel:
-    """Return the kernel of waves of some centimetres on a stroke of ``2 half``, metres."""
-    return Kernel(_SHORT / half, min(_MOST, math.ceil(_PER_LENGTH * half / _SHORT)))
-
-
 def free_forms(
     session: Session | None = None,
     names: LegNames = Orthoglide.names,
-    stroke: Range = (-_LENGTH, _LENGTH),
+    stroke: Range = (-kernels.LENGTH, kernels.LENGTH),
     scale: float = 1.0,
 ) -> tuple[FreeForm, ...]:
     """Return all free-form errors of a machine.
@@ -353,9 +351,11 @@ def free_forms(
         for form in _leg_forms(leg):
             forms.append(form)
             if form.against == "travel" and form.part == "drive":
-                forms.append(replace(form, kernel=_SCREW, short_waves=True))
-            elif form.against == "travel" and form.part != "platform" and half > _SHORT_FROM:
-                forms.append(replace(form, kernel=_short_wave_kernel(half), short_waves=True))
+                forms.append(replace(form, kernel=kernels.SCREW, short_waves=True))
+            elif form.against == "travel" and form.part != "platform" and half > kernels.SHORT_FROM:
+                forms.append(
+                    replace(form, kernel=kernels.short_wave_kernel(half), short_waves=True)
+                )
     if session is not None:
         forms += _time_dependent_forms(session)
     return tuple(scaled_to_machine(replace(form, names=names), scale) for form in forms)
@@ -363,22 +363,22 @@ def free_forms(
 
 def _leg_forms(leg: int) -> Iterator[FreeForm]:
     """Yield the free-form errors of one leg that do not depend on time, without short waves."""
-    yield FreeForm("drive", leg, "", "travel", _DRIVE, 100 * _UM)
-    yield FreeForm("drive", leg, "", "approach", _LOST)
-    yield FreeForm("drive", leg, "", "reversal", BUILD_UP)
-    for other, kernel in product(range(len(LEGS)), (_ACROSS, _LINE)):
+    yield FreeForm("drive", leg, "", "travel", kernels.DRIVE, 100 * _UM)
+    yield FreeForm("drive", leg, "", "approach", kernels.LOST)
+    yield FreeForm("drive", leg, "", "reversal", kernels.BUILD_UP)
+    for other, kernel in product(range(len(LEGS)), (kernels.ACROSS, kernels.LINE)):
         if other != leg:
             yield FreeForm("drive", leg, "", "command", kernel, command_drive=other)
     # A straight line of the rail is a tilt of its axis, which has a name.
-    parts: tuple[tuple[Part, Kernel], ...] = (("rail", _FINE), ("platform", _FINE_AND_LINE))
+    kernels_of: dict[Part, Kernel] = {"rail": kernels.FINE, "platform": kernels.FINE_AND_LINE}
     for axis in "bc":
-        for part, kernel in parts:
+        for part, kernel in kernels_of.items():
             yield FreeForm(part, leg, axis, "travel", kernel)
-            yield FreeForm(part, leg, axis, "approach", _COARSE)
+            yield FreeForm(part, leg, axis, "approach", kernels.COARSE)
     for axis in "abc":
-        yield FreeForm("carriage", leg, axis, "travel", _ACROSS, 1e-3)
+        yield FreeForm("carriage", leg, axis, "travel", kernels.ACROSS, 1e-3)
     for bar in "12":
-        yield FreeForm("bar", leg, bar, "approach", _COARSE)
+        yield FreeForm("bar", leg, bar, "approach", kernels.COARSE)
 
 
 def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
@@ -387,12 +387,12 @@ def _time_dependent_forms(session: Session) -> Iterator[FreeForm]:
     form = partial(FreeForm, against="time", span=span, timed=session.timed)
     for leg in range(len(LEGS)):
         for bars in ("1", "2", ""):
-            yield form("bar", leg, bars, kernel=_DRIFT)
+            yield form("bar", leg, bars, kernel=kernels.DRIFT)
     for leg in (-1, *range(len(LEGS))):  # -1: all drives alike
-        drift = form("drive", leg, "", kernel=_DRIFT, prior_sd=100 * _UM)
+        drift = form("drive", leg, "", kernel=kernels.DRIFT, prior_sd=100 * _UM)
         for warm in (drift, replace(drift, part="screw", prior_sd=_SCREW_GROWTH)):
             yield warm
-            yield replace(warm, kernel=_STEADY, chance=_WARMTH_CHANCE)
+            yield replace(warm, kernel=kernels.STEADY, chance=_WARMTH_CHANCE)
 
 
 def scaled_to_machine(form: FreeForm, scale: float) -> FreeForm:

@@ -7,7 +7,8 @@ regression*, eq. 17 and 56); or lost motion that builds up after a reversal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -91,15 +92,38 @@ class Bump:
 
 
 @dataclass(frozen=True)
-class Jump:
-    """A step of unit height at one value of the variable."""
+class Step:
+    """A step of unit height somewhere between two values of the variable, which no reading has: its
+    mean over that interval, a straight line.
 
-    position: float  # where it is, within [-1, 1]
-    count = 1
+    A step along the travel has its deviation from that line as one more function, which no reading
+    shows: the first eigenfunction of a Brownian bridge, with all of its mean variance.
+    """
+
+    start: float  # within [-1, 1]
+    end: float  # above
+    # least width on a calibrated machine, of a step along the travel; `None`: in time
+    least_width: float | None = None
+
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return 1 if self.least_width is None else 2
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """The step."""
-        return [np.where(u > self.position, 1.0, 0.0)][which]
+        """The step, and the deviation from its mean."""
+        share = (u - self.start) / (self.end - self.start)
+        share = (abs(share) - abs(share - 1) + 1) / 2  # of symbols too
+        return [share, sin(np.pi * share) / np.sqrt(3)][: self.count][which]
+
+    @property
+    def lasting(self) -> Step | Level:
+        """The step of a calibrated machine, which stays as it is after a jump in time."""
+        if self.least_width is None:
+            return Level()
+        middle = (self.start + self.end) / 2
+        half = max(self.end - self.start, self.least_width) / 2
+        return replace(self, start=middle - half, end=middle + half)
 
 
 @dataclass(frozen=True)
@@ -116,3 +140,29 @@ class BuildUp:
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """The functions of the distance since the reversal, from -1 to 1 over the stroke."""
         return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]
+
+
+LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
+FINE, COARSE = Kernel(0.030 / LENGTH, 12), Kernel(0.050 / LENGTH, 8)
+FINE_AND_LINE = replace(FINE, line=True)
+# A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
+DRIVE, LOST = Kernel(0.030 / LENGTH, 96, rough=0.1), Kernel(0.030 / LENGTH, 24, rough=0.1)
+# Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
+SCREW = Kernel(0.003 / LENGTH, 96)
+ACROSS = Kernel(0.050 / LENGTH, 8, line=True)
+# Most couplings are proportional: a free function pays for shapes that they do not have.
+LINE = Kernel(1.0, 0, line=True)
+# Warmth comes and goes slowly, and begins at once. The machine is that of the session's start: with
+# the mean change in it, other causes seem active. Half of the functions leave a part to a dial.
+DRIFT = Kernel(0.5, 24, rough=0.1, from_zero=True)
+STEADY = replace(LINE, from_zero=True)
+# Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
+# stroke. On a stroke of less than three such waves the kernels above describe them as well.
+_SHORT, SHORT_FROM = 0.015, 1.5 * LENGTH
+_PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
+BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
+
+
+def short_wave_kernel(half: float) -> Kernel:
+    """Return the kernel of waves of some centimetres on a stroke of ``2 half``, metres."""
+    return Kernel(_SHORT / half, min(_MOST, math.ceil(_PER_LENGTH * half / _SHORT)))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from orthoglide.effects.free_form import FreeForm, Range
-from orthoglide.effects.kernels import Bump
+from orthoglide.effects.kernels import Bump, Step
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
@@ -73,18 +73,21 @@ def pool_variants(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, d
         if not errors[first].is_local:
             continue
         credible = of_part[: smallest_count(odds[of_part], CREDIBLE * pooled[first])]
-        spots = dict(sorted(map(_spot, (errors[k] for k in credible))))
-        if len(spots) > 1:
+        spots = dict(sorted(spot for k in credible for spot in _spots(errors[k])))
+        if len(spots) > len(_spots(errors[first])):
             start, *_, end = spots.values()
             ranges[first] = f" (from {start} to {end})"
     return pooled, ranges
 
 
-def _spot(error: FreeForm) -> tuple[float, str]:
-    """Return the moment or the place of a local error, as a number and in words."""
-    if error.bump is not None:
-        return error.bump, f"{compact(error.bump * 1e3, 3)} mm"
-    return error.jump or 0.0, error.moment
+def _spots(error: FreeForm) -> list[tuple[float, str]]:
+    """Return the moment, the place or the ends of a local error, as numbers and in words."""
+    if error.jump is None:
+        return [(at := error.bump or 0.0, f"{compact(at * 1e3, 3)} mm")]
+    if not error.is_step:
+        return [(sum(error.jump) / 2, error.spot)]
+    words = (f"{travel} mm" for travel in error.travels_of_step)
+    return list(zip(error.jump, words, strict=True))
 
 
 def curve_of(
@@ -102,6 +105,9 @@ def curve_of(
     u = np.linspace(-1, 1, 2 * error.kernel.count + 1 if error.short_waves else 41)
     if isinstance(bump := error.kernel, Bump):
         u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
+    if error.is_step and isinstance(step := error.kernel, Step):
+        u = np.union1d(u, np.linspace(step.start, step.end, 11))
+        covariance = np.diag([covariance[0, 0], mean[0] ** 2 + covariance[0, 0]])
     functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
     # The mean of a curve cannot be separated from the zeros; a change with time begins at zero.
     has_level = error.depends_on_approach or error.is_local or error.against == "time"

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import compress
+from itertools import chain, compress
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects.bumps_and_jumps import may_jump, travel_bumps, with_jump
-from orthoglide.effects.free_form import BUILD_UP, FreeForm, Session, free_forms
-from orthoglide.effects.kernels import Level
+from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_jump
+from orthoglide.effects.free_form import FreeForm, Session, free_forms
+from orthoglide.effects.kernels import BUILD_UP, Level
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excitation import axes_approached_from_both_sides
@@ -31,6 +31,7 @@ _LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer ar
 _MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
 _MOST_JUMPS = 8  # for each part, at the moments that explain most: 16 changed no result
 _LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
+_DECIMALS = 4  # of travels, metres, and of moments, seconds, that count as different
 _LEAST_SIGNAL = 0.1  # sigmas: less adds under a hundredth to the chi2 of a reading
 
 
@@ -101,7 +102,7 @@ def bump_travels(problem: Problem) -> list[list[float]]:
     repeated = np.bincount(station)[station] > 1
     legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.leg_factors]
     for leg, leg_travels in enumerate(travels):
-        travel = np.round(np.concatenate([c[leg].nominal_travel for c in legs]), 4)
+        travel = np.round(np.concatenate([c[leg].nominal_travel for c in legs]), _DECIMALS)
         levels, count = np.unique(travel, return_counts=True)
         rare = (count <= _LARGEST_BUMP_SHARE * len(travel)) & np.isin(levels, travel[repeated])
         if rare.sum() <= _MOST_BUMP_TRAVELS:
@@ -136,9 +137,11 @@ def free_form_columns(
         return iter(()), ()
     machine, stroke = problem.machine, problem.machine.geometry.stroke
     forms = free_forms(_session(problem), machine.catalogue.legs, stroke, machine.geometry.scale)
-    if jumping := [form for form in forms if may_jump(form)]:
-        errors += tuple(_jump_candidates(problem, x, residual, jumping, fitted))
-    if not (problem.leg_factors or any(f.readings.paired.any() for f in problem.factors)):
+    paired = any(f.readings.paired.any() for f in problem.factors)  # at two travels
+    slow = [e for e in forms if e.against == "time" or (e in errors and not paired)]
+    if sudden := [*chain(*map(jumping, slow))]:
+        errors += tuple(_jump_candidates(problem, x, residual, sudden, fitted))
+    if not (problem.leg_factors or paired):
         errors += tuple(_bump_candidates(problem, x, residual, fitted))
     if first is None or len(first) == len(residual):
         return _columns_of_factors(problem, x, errors, problem.factors), errors
@@ -168,18 +171,20 @@ def _columns_of_factors(
 def _jump_candidates(
     problem: Problem, x: Array, residual: Array, errors: Sequence[FreeForm], fitted: Array
 ) -> Iterator[FreeForm]:
-    """Yield free-form errors with a jump, at the moments that explain most of the residuals.
+    """Yield free-form errors with a jump, at the moments or travels that explain most of the
+    residuals.
 
     A step between two mountings of a dial, for example, is mostly explained by their datums.
     """
-    moments = np.concatenate([_moments(f.readings)[0] for f in problem.factors])
-    order = np.argsort(moments, kind="stable")[::-1]  # sums from the end are those after a moment
-    whitened = project_out(fitted, residual / problem.sigma)[order]
-    moments, fitted = moments[order], fitted[order]
-    cuts = np.flatnonzero(np.diff(moments) < 0)
+    stroke = problem.machine.geometry.stroke
+    whitened_residual = project_out(fitted, residual / problem.sigma)
     levels = [replace(error, kernel=Level()) for error in errors]
     columns = _columns_of_factors(problem, x, levels, problem.factors)
     for error, rows in zip(errors, columns, strict=True):
+        moments = _moments_or_travels(problem, error)
+        order = np.argsort(moments, kind="stable")[::-1]  # sums from the end: after a moment
+        moments, whitened = moments[order], whitened_residual[order]
+        cuts = np.flatnonzero(np.diff(np.round(moments, _DECIMALS)) < 0)
         step = (rows[:, 0] / problem.sigma)[order]
         visible_count = np.cumsum(np.abs(step) > _LEAST_SIGNAL)
         fewer = np.minimum(visible_count[cuts], visible_count[-1] - visible_count[cuts])
@@ -187,20 +192,34 @@ def _jump_candidates(
         if not len(allowed):
             continue
         products, squares = np.cumsum(step * whitened)[allowed], np.cumsum(step**2)[allowed]
-        gain = _chi2_gain(products, squares, np.cumsum(step[:, None] * fitted, axis=0)[allowed])
-        between = (moments[allowed] + moments[allowed + 1]) / 2
+        components = np.cumsum(step[:, None] * fitted[order], axis=0)[allowed]
+        gain = _chi2_gain(products, squares, components)
+        between = np.stack([moments[allowed + 1], moments[allowed]], axis=1)
         # A drive loses a step while it moves, once between two readings; a screw loosens at any
-        # time. Half of the prior is uniform over the pauses, half proportional to their durations.
-        pause = moments[allowed] - moments[allowed + 1]
+        # time. Half of the prior is uniform over the pauses, half proportional to their durations;
+        # so it is of places between the stations, as most of them stand where the machine is used.
+        pause = between[:, 1] - between[:, 0]
         chance = (1 / len(allowed) + pause / pause.sum()) / 2
         order_of_gain = descending(gain / 2 + np.log(chance), LOG_ODDS_MARGIN)
         # Jumps of one name, a full second or a reading, are one: their priors add.
-        names = np.rint(between) if error.timed else np.floor(between)
+        names = between.mean(axis=1)
+        if error.against == "time":
+            names = np.rint(names) if error.timed else np.floor(names)
         _, first, name = np.unique(names[order_of_gain], return_index=True, return_inverse=True)
         shares = np.bincount(name, chance[order_of_gain])
         for k in np.sort(first)[:_MOST_JUMPS]:
-            moment = float(between[order_of_gain[k]])
-            yield replace(with_jump(error, moment), chance=float(shares[name[k]]))
+            low, high = between[order_of_gain[k]].tolist()
+            chance_of_jump = error.chance * float(shares[name[k]])
+            yield replace(with_jump(error, (low, high), stroke), chance=chance_of_jump)
+
+
+def _moments_or_travels(problem: Problem, error: FreeForm) -> Array:
+    """Return what an error that may jump depends on ``(n,)``: seconds or orders, or metres."""
+    if error.against == "time":
+        return np.concatenate([_moments(f.readings)[0] for f in problem.factors])
+    model = problem.machine.model
+    legs = [model.leg_conditions({}, f.conditions())[error.leg] for f in problem.factors]
+    return np.concatenate([leg.nominal_travel for leg in legs])
 
 
 def _bump_candidates(
@@ -214,7 +233,7 @@ def _bump_candidates(
     machine, geometry = problem.machine, problem.machine.geometry
     step = _BUMP_STEP * geometry.scale
     first, last = np.ceil(geometry.stroke[0] / step), np.floor(geometry.stroke[1] / step)
-    travels = (np.arange(first, last + 1) * step).round(4).tolist()
+    travels = (np.arange(first, last + 1) * step).round(_DECIMALS).tolist()
     bumps = travel_bumps([travels] * len(LEGS), machine.catalogue.legs, geometry.stroke,
                          geometry.scale)  # fmt: skip
     by_part: dict[str, list[FreeForm]] = {}

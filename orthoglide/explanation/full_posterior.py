@@ -123,11 +123,13 @@ class FullPosterior:
         """
         count, translations = self.linearised.parameter_count, self.linearised.translations
         signatures = self.mixture.linear.columns[:, :count] @ translations
-        missing_variance = max(1 - min(self.background_scale, 1.0) ** 2, 1e-6)
-        prior_precision = np.eye(translations.shape[1]) / missing_variance
-        added = np.linalg.inv(prior_precision + signatures.T @ signatures)
+        precision = 1 / max(1 - min(self.background_scale, 1.0) ** 2, 1e-6)  # of the prior
+        added = np.linalg.inv(precision * np.eye(translations.shape[1]) + signatures.T @ signatures)
         covariance = self.averaged_covariances[0].copy()
         covariance[:count, :count] += translations @ added @ translations.T
+        steps = [group.coefficients for group in self.free_form_groups if group.source.is_step]
+        for height, place in steps:  # its place between two stations is unknown
+            covariance[place, place] = self.mean[height] ** 2 + covariance[height, height]
         return covariance
 
     @cached_property
@@ -224,15 +226,13 @@ class FullPosterior:
         prior_rows = np.vstack([prior_root, matrix]), np.concatenate([np.zeros(count), target])
         curves = self._curve_nuisances(prior)
         problem = replace(linearised.problem, prior_override=prior_rows, free_form_nuisances=curves)
-        x = (self.mean * units)[:count]
-        problem, fit = linearise_placed(problem, x)
+        problem, fit = linearise_placed(problem, (self.mean * units)[:count])
         estimate = make_estimate(problem, nuisances(problem, fit.reading_poses), fit, "posterior",
                                  len(mixture.children), linearised.linearisation_error)  # fmt: skip
         # Base parameters that could be wrong in place of the reported causes.
-        notes = [
-            Note(f"these readings fit as well if {clause}: measure it", "instead")
-            for clause in ([] if self.alternative is None else _exceeded_limits(self.alternative))
-        ]
+        instead = [] if self.alternative is None else _exceeded_limits(self.alternative)
+        text = "these readings fit as well if {}: measure it"
+        notes = [Note(text.format(clause), "instead") for clause in instead]
         covariance = self.covariance[:count, :count] * units[:count] * units[:count, None]
         estimate = replace(estimate, covariance=covariance, weak=self.before.weak)
         warnings = (*estimate.warnings, *tolerance_notes(estimate), *notes)
