@@ -28,6 +28,7 @@ _SEQUENCE_STEPS = 1 / 1.2207440846 ** np.arange(1, 4)
 _DRAWS = 400  # machines drawn from the posterior
 _TRANSLATION_WEIGHT = 0.01  # weight of the common offset: it decides between equal shape errors
 _GAUSS_NEWTON_STEPS = 2  # enough for a problem that is nearly linear
+_MIN_SIGMAS = 2.0  # standard deviations by which an expected gain must exceed zero
 
 
 def workspace_grid(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
@@ -155,19 +156,37 @@ def expected_gain(
     return float(gain.mean()), float(gain.std())
 
 
+def lack_of_gain(gain: float, sigma: float) -> str:
+    """Return why a correction is not advised, a clause; empty if its expected gain is certain.
+
+    This is the one rule for compensated commands, sizes in a controller, and new numbers of a
+    firmware. ``gain`` and ``sigma`` are those of `expected_gain`, metres.
+    """
+    if gain > _MIN_SIGMAS * sigma:
+        return ""
+    size = with_sigma(gain * 1e3, sigma * 1e3)
+    return f"the expected gain, {size} mm, is below two standard deviations"
+
+
 def _sampled_errors(machine: Machine, settings: Mapping[str, float]) -> tuple[Array, Array]:
     """Return the mean shape error and the common offset ``(draws,)`` of machines drawn from the
     posterior; all settings use the same draws.
     """
-    posterior, wanted = machine.posterior, wanted_points(machine)
-    commands = machine.with_only(settings).inverse(wanted)
-    mean = machine.forward(commands) - wanted
-    slopes = tcp_slopes(machine, posterior.names, Conditions.from_commands(commands))
-    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(posterior.names)))
-    errors = mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.covariance_root.T)
+    wanted = wanted_points(machine)
+    errors = drawn_errors(machine, machine.with_only(settings).inverse(wanted), wanted)
     translation = errors.mean(axis=1)
     shape = np.linalg.norm(errors - translation[:, None], axis=2).mean(axis=1)
     return np.asarray(shape), np.linalg.norm(translation, axis=1)
+
+
+def drawn_errors(machine: Machine, commands: Array, wanted: Array) -> Array:
+    """Return errors of the tool ``(draws, g, 3)`` at commands for wanted points ``(g, 3)``, metres,
+    of machines drawn from the posterior; the draws are always the same.
+    """
+    posterior, mean = machine.posterior, machine.forward(commands) - wanted
+    slopes = tcp_slopes(machine, posterior.names, Conditions.from_commands(commands))
+    draws = np.random.default_rng(0).standard_normal((_DRAWS, len(posterior.names)))
+    return np.asarray(mean + np.einsum("gip,np->ngi", slopes, draws @ posterior.covariance_root.T))
 
 
 def wanted_points(machine: Machine) -> Array:

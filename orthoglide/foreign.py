@@ -15,7 +15,7 @@ _PLATES_ADVICE = (
     ", which is a list of plate points: read it with orthoglide import plates {}"
     f"{MACHINE_OPTION} --out DIR"
 )
-_NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
+_NUMBER = r"(\d+(?:[.,]\d*)?|[.,]\d+)"  # also with a decimal comma
 _OTHER_FILES = {  # of no machine: text that only such files contain, and what to do with them
     "archive": (
         r"\A(?:PK\x03\x04|\x1f|BZh|7z\xbc\xaf|\xfd7zXZ|Rar!)",
@@ -52,7 +52,7 @@ _OTHER_FILES = {  # of no machine: text that only such files contain, and what t
         "V4), save its lines 'Bed X: Y: Z:' and read them by orthoglide import plates",
     ),
 }  # fmt: skip
-_M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.:]+)")
+_M665 = (r"^.*\bM665\b[^;\n]*?\bL *([\d.,:]+)", r"^.*\bM665\b[^;\n]*?\bR *([\d.,:]+)")
 _BED_LINES = "probe the plate (G29), save its lines 'Bed X: Y: Z:' and read them"
 _FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how the firmware touches
     # the plate, and patterns of the arms' length and of the radius less the platform's
@@ -61,7 +61,7 @@ _FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how th
         r"[ \t]+\S|^;Optional arm solution specific",
         "probe a grid (G29), save its touches as lines x, y, z and read them",
         rf"^[ \t]*(?:arm_length[ \t]+|M665 L){_NUMBER}",
-        rf"^[ \t]*(?:arm_radius[ \t]+|M665 L[\d.]+ R){_NUMBER}",
+        rf"^[ \t]*(?:arm_radius[ \t]+|M665 L[\d.,]+ R){_NUMBER}",
     ),
     "Marlin's configuration": (
         r"^[ \t]*(?://[ \t]*)?#define[ \t]+\w", _BED_LINES,
@@ -109,7 +109,7 @@ def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> Non
             for key, size_pattern in (("L", arm), ("radius_mm less r_mm", radius)):
                 match = re.search(size_pattern, text, re.MULTILINE | re.IGNORECASE)
                 if match and (values := re.findall(_NUMBER, match[1])):  # several: one a tower
-                    sizes.append(f"{key} = {fmean(map(float, values)):.7g}")
+                    sizes.append(f"{key} = {fmean(float(v.replace(',', '.')) for v in values):.7g}")
             sizes_text = f" with {' and '.join(sizes)}" if sizes else ""
             raise FileError(
                 f'is {name}, which is not read: write a machine file of kind "linear-delta"'

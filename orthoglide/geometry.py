@@ -86,8 +86,8 @@ def plane_columns(points: Array) -> Array:
 
 
 def fit_plane(points: Array, height: Array) -> tuple[Array, Array]:
-    """Return the height in the middle and both slopes ``(3,)`` of the plane through heights
-    ``(n,)`` at points ``(n, 2+)``, and the residuals ``(n,)``.
+    """Return the height in the middle and both slopes ``(3, ...)`` of the plane through heights
+    ``(n, ...)`` at points ``(n, 2+)``, and the residuals ``(n, ...)``.
     """
     columns = plane_columns(points)
     plane = np.asarray(np.linalg.lstsq(columns, height, rcond=None)[0], dtype=float)

@@ -54,6 +54,15 @@ MM, RAD, ONE = Unit("mm", 1e-3), Unit("rad", 1.0), Unit("1", 1.0)
 INCH = 25.4
 """In millimetres."""
 
+MICROSTEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
+"""Ratios of the travel of a step before and after microsteps were changed, likeliest first."""
+
+PULLEY_RATIOS = tuple(
+    2.0**k * m for k in (0, 1, -1, 2, -2) for m in (5 / 4, 4 / 5, 4 / 3, 3 / 4, 6 / 5, 5 / 6)
+)
+"""The same after a pulley or a motor was changed, which is rarer: pulleys of 16, 20, 24 and 32
+teeth, beside microsteps."""
+
 UNIT_MISTAKES = {
     1e3: "in metres instead of millimetres",
     1e-3: "in micrometres instead of millimetres",

@@ -243,6 +243,12 @@ def test_travel_that_is_counted_down_is_told() -> None:
         ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at the microsteps"),
         ((0.1, 0.1, 0.1), "multiplied by 10 they fit a plane to 0.00N mm: look at"),
         ((0.625,) * 3, "multiplied by 1.6 they fit a plane to 0.00N mm: look at"),
+        ((0.75,) * 3, "multiplied by 1.333 they fit a plane to 0.00N mm: look at"),
+        (
+            (1e-3,) * 3,
+            "the heights are of places within 0.09 mm; with travel multiplied by 1000 they fit a "
+            "plane to 0.00N mm: look at the microsteps and at the unit of travel",
+        ),
         (
             (-0.5, -0.5, -0.5),
             "counted the other way and multiplied by 2 they fit a plane to 0.00N mm: set sign = "
@@ -322,6 +328,23 @@ def test_distances_of_other_microsteps_are_taken_so() -> None:
     assert int(readings.touching.sum()) == 7
 
 
+@pytest.mark.parametrize("times", [1.6, 1.25, 0.625, 4 / 3, 1.2])
+def test_distances_of_another_pulley_or_motor_are_converted(times: float, tmp_path: Path) -> None:
+    """They were left out, as of different times or with a wrong number of one tower."""
+    text = (FIELD / "rods-entered-4mm-short" / "printer.cfg").read_text()
+    other = re.sub(
+        r"(distance\d+_pos\d = )(.*)",
+        lambda m: m[1] + ",".join(f"{float(v) * times:.6f}" for v in m[2].split(",")),
+        text,
+    )
+    found, sound = imported(tmp_path, other), imported(tmp_path, text)
+    (told,) = (n for n in found.notes if "microsteps" in n)
+    assert f"stored with {times:.4g} times the microsteps of now, and are converted" in told
+    assert "the motor's steps or the pulley's teeth were others" in told
+    (readings,), (same,) = found.campaigns, sound.campaigns
+    assert readings.second == pytest.approx(same.second, abs=1e-8, nan_ok=True)
+
+
 def test_a_part_that_was_scaled_is_the_part() -> None:
     """All parts of the machine off by three tolerances were, and the verdict was *adequate*: the
     size, forty standard deviations from its prior, was no lack of fit.
@@ -336,6 +359,32 @@ def test_a_part_that_was_scaled_is_the_part() -> None:
     assert cause.name.startswith("part_size")
     assert cause.chosen.value == pytest.approx(0.15, abs=0.01)
     assert re.search("distances 15 % longer", " ".join(str(verdict).split()))
+
+
+@pytest.mark.parametrize(
+    ("folder", "off"),
+    [
+        ("distances-in-other-microsteps", 9.0),
+        pytest.param("distances-in-other-microsteps", -9.0, marks=pytest.mark.thorough),
+        pytest.param("quiet-mesh", -9.0, marks=pytest.mark.thorough),  # none of them was imported
+    ],
+)
+def test_distances_over_pillars_are_told_as_their_width(
+    folder: str, off: float, tmp_path: Path
+) -> None:
+    """Rim distances measured outside the pillars: no cause, or no distances, and *adequate*."""
+    text = re.sub(
+        r"(distance(\d+) = )(\S+)",
+        lambda m: f"{m[1]}{float(m[3]) + off * (int(m[2]) >= 6):.4f}",
+        (FIELD / folder / "printer.cfg").read_text(),
+    )
+    found = imported(tmp_path, text)
+    verdict = studied(found.campaigns, og.Machine(found.machine))
+    (cause,) = verdict.effects
+    assert cause.name.startswith("pillar_width.rim")
+    assert cause.chosen.value == pytest.approx(off, abs=0.5)
+    way = "long" if off > 0 else "short"
+    assert re.search(rf"distances in rim are all .* mm too {way}", cause.chosen.words)
 
 
 def test_many_slips_are_none() -> None:
@@ -395,6 +444,14 @@ def test_configurations_of_others_are_answered_with_what_to_write(file: str, sai
     for read in (og.import_printer, lambda path: og.import_plates(path, OTHER / "machine.toml")):
         with pytest.raises(og.FileError, match=said):
             read(OTHER / file)
+
+
+def test_decimal_commas_of_a_configuration_are_read(tmp_path: Path) -> None:
+    """A radius of 105,600 was told as 105."""
+    text = (OTHER / "repetier.txt").read_text()
+    (tmp_path / "repetier.txt").write_text(re.sub(r"(\d)\.(\d)", r"\1,\2", text))
+    with pytest.raises(og.FileError, match=r"L = 215 and radius_mm less r_mm = 105\.6,"):
+        og.import_printer(tmp_path / "repetier.txt")
 
 
 @pytest.mark.parametrize(

@@ -103,6 +103,7 @@ READ = {
     "gauge_scale": rf"dial of (?P<leg>\w+) shows {SIZE} (?P<way>more|less)",
     "gauge_drift": rf"stand of (?P<leg>\w+) creeps: its reading (?P<way>grows|falls) by {SIZE}",
     "part_size": rf"distances in (?P<leg>\w+) {SIZE} (?P<way>longer|shorter)",
+    "pillar_width": rf"distances in (?P<leg>\w+) are all {SIZE} too (?P<way>long|short)",
     "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
     "plate_saddle": rf"plate of (?P<leg>\w+) is a saddle: its rim stands {SIZE} high toward "
     rf"(?P<way>\d+) degrees",
@@ -111,8 +112,8 @@ READ = {
 }
 # Of an effect that declares no words: its sentence, its side and a sign.
 PLAIN = rf"(?:on leg|in setup) (?P<leg>\w+) .*?(?P<way>(?:{TOWARD}, )?by [+−]?){SIZE}"
-UP = {"out", "more", "gives way", "right", "right-handed", "longer", "wider", "grow", "grows",
-      "bowl", "counter-clockwise"}  # fmt: skip
+UP = {"out", "more", "gives way", "right", "right-handed", "long", "longer", "wider", "grow",
+      "grows", "bowl", "counter-clockwise"}  # fmt: skip
 SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
 # Said for an hour, or from one end of the stroke to the other.
 PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600, "rail_torsion": 0.5}

@@ -4,9 +4,11 @@ import io
 import json
 import re
 import tarfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,6 +100,36 @@ def test_an_endstop_that_moved_between_two_meshes_is_told(
     toward = float(re.search(r"toward (\d+) degrees", note)[1])
     assert toward == pytest.approx((rig.angles["abc".index(leg)] + 180) % 360, abs=5)
     assert found.together == ()
+
+
+@pytest.mark.parametrize(
+    ("order", "told"),
+    [
+        (lambda table: table[:, ::-1], "mirrored in x"),
+        (lambda table: table[::-1], "mirrored in y"),
+        # At seven touches the same as turned by a quarter.
+        (lambda table: table.T, "turned by 90 degrees"),
+        (lambda table: table[::-1, ::-1], "turned by 180 degrees"),
+        (lambda table: table, ""),
+    ],
+)
+def test_a_mesh_in_another_order_of_rows_is_told(
+    order: Callable[[Any], Any], told: str, tmp_path: Path
+) -> None:
+    """It was taken as it stands, as its heights differ by less than those of other plates."""
+    rows = re.compile(r"(#\*# points =.*\n)((?:#\*# \s+-?[\d.]+, .*\n)+)")
+
+    def ordered(match: re.Match[str]) -> str:
+        table = np.array([line[3:].split(",") for line in match[2].splitlines()])
+        return match[1] + "".join(f"#*# \t{','.join(row)}\n" for row in order(table))
+
+    text, count = rows.subn(ordered, (DATA / "held" / "sr-cupsster.cfg").read_text(), count=1)
+    assert count == 1
+    found = [str(note) for note in imported(tmp_path, text).apart]
+    assert bool(found) == bool(told)
+    for note in found:
+        (ways,) = re.findall(r"0\.0\d\d mm if .* mirrored or turned, such as (.*)\. Correct", note)
+        assert told in ways.split(" or ")
 
 
 def test_a_noisy_probe_moves_no_endstop(tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from orthoglide.accuracy import best_zeros, expected_gain
+from orthoglide.accuracy import best_zeros, expected_gain, lack_of_gain
 from orthoglide.control import withholding_reason
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
-from orthoglide.numerals import plain, signed, with_sigma
+from orthoglide.numerals import plain, signed
 from orthoglide.ordering import ranked
 from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
 from orthoglide.text import MACHINE_OPTION, lower_first
@@ -44,7 +44,6 @@ _CHECK_SCATTER = (
 _MOST_RIVALS = 6  # causes between which readings are proposed
 _GAIN_ROUNDING = 1e-9  # metres: smaller differences of gain are rounding
 _MIN_TOWER_SHIFT = 1e-4  # metres by which a tower's turn moves it: the thickness of a layer
-_MIN_SIGMAS = 2.0  # standard deviations by which a gain must exceed zero
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
 
 
@@ -122,7 +121,7 @@ def _size_actions(outcome: RunOutcome) -> Iterator[Action]:
     corrected = best_zeros(machine, ["place", "bar_length"])
     gain, sigma = expected_gain(machine, best_zeros(machine), corrected)
     least = _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape
-    if gain < max(least, _MIN_SIGMAS * sigma):
+    if gain < least or lack_of_gain(gain, sigma):
         return
     legs, values = machine.geometry.leg_names, machine.values
     # Complex numbers are vectors along the plate; a shift of all towers is no error.
@@ -278,15 +277,13 @@ def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
     gain, sigma = outcome.compensation_gain
     if gain <= _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape:
         return None
-    if gain > _MIN_SIGMAS * sigma:
-        words = (
-            f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"
-            f"{outcome.request.effects_option} --out commands.csv"
-        )
-        return Action("compensate", words, gain, sigma)
-    size = with_sigma(gain * 1e3, sigma * 1e3)
-    reason = f"its expected gain, {size} mm, is below two standard deviations"
-    return Withheld("compensate", reason)
+    if reason := lack_of_gain(gain, sigma):
+        return Withheld("compensate", reason)
+    words = (
+        f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"
+        f"{outcome.request.effects_option} --out commands.csv"
+    )
+    return Action("compensate", words, gain, sigma)
 
 
 def not_advised(outcome: RunOutcome) -> tuple[Withheld, ...]:

@@ -289,7 +289,7 @@ class Catalogue(Mapping[str, Effect]):
             for shape in effect.shapes or ("",):
                 member = f"{shape}.common" if shape else "common"
                 add(member, {p: 1.0 for p in parameters if p.direction == shape})
-        elif len(parameters) > 1:
+        elif len(parameters) > 1 and not effect.per_setup:
             add("common", dict.fromkeys(parameters, 1.0))
         return members
 

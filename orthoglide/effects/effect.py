@@ -69,6 +69,7 @@ class Effect:
         plate: of an effect of a probed plate: its shapes, each with the suffix that follows the
             setup in its parameter's name.
         part: of an effect of a printed part: the length read, given that of the tool and the value.
+        per_setup: whether it belongs to the way in which a part was measured, not to the part.
         names: of legs and directions, of the layout that it belongs to.
         points: preposition before the direction of a positive value, such as "toward".
     """
@@ -90,6 +91,7 @@ class Effect:
     dial: Callable[[DialReading, Any], Any] | None = None
     plate: tuple[tuple[str, Shape], ...] = ()
     part: Callable[[Any, Any], Any] | None = None
+    per_setup: bool = False
     names: LegNames = Orthoglide.names
     points: str = "toward"
 
@@ -107,12 +109,12 @@ class Effect:
     @property
     def of_dial(self) -> bool:
         """Whether it belongs to a dial, a plate or a part and not to the machine."""
-        return self.dial is not None or self.of_body
+        return self.dial is not None or bool(self.plate) or self.part is not None
 
     @property
     def of_body(self) -> bool:
         """Whether it belongs to a plate or a part, which stays the same in all setups."""
-        return bool(self.plate) or self.part is not None
+        return bool(self.plate) or (self.part is not None and not self.per_setup)
 
     @property
     def sided(self) -> bool:

@@ -98,9 +98,27 @@ PART_SIZE = Effect(
     part=lambda length, size: (1 + size) * length,
 )
 
+PILLAR_WIDTH = Effect(
+    "pillar_width",
+    MM,
+    3.0,
+    because="pillars are 3 to 10 mm wide, and one or two of their halves are taken off or added",
+    sentence="distances were measured outside pillars where centres were meant, or the reverse",
+    look_at="how these distances were measured: which widths were taken off or added",
+    words=Words(
+        "the distances{in_setup} are all {size} too {long|short}, as by the width of a pillar",
+        "the distances{in_setup} are off by the width of a pillar",
+        "all distances are off by the width of a pillar",
+        confirm="measure one of the distances{in_setup} from centre to centre: expect {size} "
+        "{less|more} than was given",
+    ),
+    group="part",
+    part=lambda length, width: length + width,
+    per_setup=True,
+)
 
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
-DELTA_EFFECTS = (PLATE_SADDLE, PART_SIZE)
+DELTA_EFFECTS = (PLATE_SADDLE, PART_SIZE, PILLAR_WIDTH)
 
 
 def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:

@@ -25,20 +25,23 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings, source
-from orthoglide.units import INCH
+from orthoglide.units import INCH, MICROSTEP_RATIOS, PULLEY_RATIOS, UNIT_MISTAKES
 
 _MIN_TOUCHES = 6  # of a plate: a plane goes through three, and as many more decide
 _PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 3e-5
 """Metres: a bed in use for printing is at least as flat; touches are hardly more precise."""
 
 _MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
+_MIN_MISFIT_SHARE = 3e-3  # of the touches' reach: 0.3 mm of 100 mm, ten times their noise
+_MIN_REACH = 0.01  # metres between touches and their middle: no plate is calibrated by less
 _TRAVEL_FACTORS = tuple(
     tuple(sign * size for sign in signs)
-    for size in (1.0, 1 / INCH, 0.1, 0.25, 0.5, 0.625, 1.6, 2.0, 4.0, 10.0, INCH)
+    for size in (*MICROSTEP_RATIOS, *PULLEY_RATIOS, *UNIT_MISTAKES)
     for signs in product((1.0, -1.0), repeat=3)
 )
-"""Factors that may correct the travel of the legs: signs with microsteps, pulleys (of 32 teeth for
-20), and units."""
+"""Factors that may correct the travel of the legs: signs with microsteps, pulleys, and units."""
+
+_MAX_TRIED = 60  # touches of a setup by which factors are tried: a plane needs no more
 
 _MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
 
@@ -87,21 +90,30 @@ def _check_dial_unit(campaign: Readings, dial: Dial) -> None:
 def _check_travel(readings: Readings, machine: Machine) -> None:
     """Refuse touches of a plate that lie in a plane only with travel counted the other way by some
     legs, or in another unit.
+
+    Misfits are relative to the factor of travel, as travel that is too small makes all of them
+    smaller.
     """
     for k, setup in enumerate(readings.setups):
-        rows = (readings.setup == k) & ~readings.paired
-        if not setup.observation.touches or rows.sum() < _MIN_TOUCHES:
+        rows = np.flatnonzero((readings.setup == k) & ~readings.paired)
+        if not setup.observation.touches:
             continue
-        touches = readings.subset(rows)
-        off = _plane_residual(touches, (1.0, 1.0, 1.0), machine)
-        if off < _MIN_MISFIT_RATIO * _TOUCH_NOISE:
+        touches = readings.subset(rows[:: -(-len(rows) // _MAX_TRIED) or 1])
+        if len(np.unique(touches.command, axis=0)) < _MIN_TOUCHES:
             continue
-        least, factors = min((_plane_residual(touches, f, machine), f) for f in _TRAVEL_FACTORS)
-        if least < _PLATE_FLATNESS and off > _MIN_MISFIT_RATIO * max(least, _TOUCH_NOISE):
+        off, reach = _plane_misfit(touches, (1.0, 1.0, 1.0), machine)
+        if off < _MIN_MISFIT_SHARE * reach:
+            continue
+        trials = [(*_plane_misfit(touches, f, machine), f) for f in _TRAVEL_FACTORS]
+        likely = [t for t in trials if t[0] < _PLATE_FLATNESS and t[1] > _MIN_REACH]
+        misfit, _, factors = min(likely, key=lambda t: t[0] / abs(t[2][0]), default=trials[0])
+        if off * abs(factors[0]) > _MIN_MISFIT_RATIO * max(misfit, _TOUCH_NOISE):
             heights = "those of no plane" if np.isfinite(off) else "out of the machine's reach"
+            if np.isfinite(off) and reach < _MIN_REACH:
+                heights = f"of places within {compact(reach * 1e3, 1)} mm"
             raise InputError(
                 f"{source(readings)}, setup {setup.name!r}: the heights are {heights}; with travel "
-                f"{_travel_remedy(factors, least, machine)}"
+                f"{_travel_remedy(factors, misfit, machine)}"
             )
 
 
@@ -127,21 +139,21 @@ def _travel_remedy(factors: tuple[float, ...], misfit: float, machine: Machine) 
     )
 
 
-def _plane_residual(readings: Readings, factors: tuple[float, ...], machine: Machine) -> float:
-    """Return the root mean square of touches about their plane, metres, with the travel of each leg
-    multiplied by a factor; infinite if some are out of reach.
-
-    A factor below 1 makes every residual smaller, so it is divided out.
+def _plane_misfit(
+    readings: Readings, factors: tuple[float, ...], machine: Machine
+) -> tuple[float, float]:
+    """Return the root mean square of touches about their plane and the largest distance of their
+    places from the middle, metres, with the travel of each leg multiplied by a factor; infinite and
+    0 if some are out of reach.
     """
     zero = machine.geometry.zero
     try:
         p = machine.forward(zero + (readings.command - zero) * factors)
     except OrthoglideError:  # far from the machine, or not closed there
-        return float("inf")
-    height = p[:, 2] - readings.sign * readings.reading
-    _, residual = fit_plane(p, height)
-    shrunk = min(np.abs(factors).min(), 1.0)
-    return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1)) / shrunk)
+        return np.inf, 0.0
+    _, residual = fit_plane(p, p[:, 2] - readings.sign * readings.reading)
+    reach = np.linalg.norm(p[:, :2] - p[:, :2].mean(axis=0), axis=1).max()
+    return float(np.sqrt(np.sum(residual**2) / max(len(residual) - 3, 1))), float(reach)
 
 
 def _check_unit_and_frame(

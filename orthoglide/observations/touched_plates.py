@@ -31,6 +31,23 @@ _MIN_COMMON_PLACES = 4  # places that establish a difference: one more than a pl
 _SIGNIFICANT_SIGMAS = 3.0
 _USUAL_NOISE = 2.5e-5  # metres, of a difference of two touches
 _TRIMMING_STEPS = 5  # of a fit to the places that agree; most settle after two
+_MIN_SHAPE_PLACES = 6  # places for a shape beside a plane: twice its unknowns
+_LARGE_SHAPE, _MIN_SHAPE_RATIO = 4e-5, 3.0
+"""Root mean square of differences beside a plane, metres, that none of those pairs reaches (0.032
+mm), and the ratio by which it falls if the places of a mirrored or turned list are put right."""
+
+_SYMMETRIES = {
+    "mirrored in x": np.diag([-1.0, 1.0]),
+    "mirrored in y": np.diag([1.0, -1.0]),
+    "taken with x and y exchanged": np.array([[0.0, 1.0], [1.0, 0.0]]),
+    **{
+        f"turned by {angle} degrees": np.array([[c, -s], [s, c]])
+        for angle in (90, 120, 180, 240, 270)
+        for c, s in [(np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle)))]
+    },
+}
+"""Orders of rows and columns of a grid, and turns of a plate or of the towers' names."""
+
 _MIN_SMOOTHED = 12  # places for a surface of second order, of six unknowns, without their noise
 
 
@@ -79,11 +96,42 @@ def disagreements(
     for campaign in campaigns:
         for other in agreed:
             places, difference = _differences(kinematics, campaign, other, relative)
-            if note := _note(campaign.name, other.name, places, difference):
+            note = _symmetry_note(kinematics, campaign, other)
+            if note := note or _note(campaign.name, other.name, places, difference):
                 yield campaign.name, other.name, note
                 break
         else:
             agreed.append(campaign)
+
+
+def _symmetry_note(kinematics: DeltaKinematics, campaign: Readings, other: Readings) -> Note | None:
+    """Return a note on two lists whose heights agree only if one is mirrored or turned; ``None`` if
+    there are no such ones.
+    """
+
+    def shape(symmetry: Array) -> float:
+        places, difference = _differences(kinematics, campaign, other, False, symmetry)
+        if len(places) < _MIN_SHAPE_PLACES:
+            return np.inf
+        return float(np.sqrt(np.mean(fit_plane(places, difference)[1] ** 2)))
+
+    size = shape(np.eye(2))
+    if not _LARGE_SHAPE < size < np.inf:
+        return None
+    shapes = {way: shape(symmetry) for way, symmetry in _SYMMETRIES.items()}
+    agreeing = min(size / _MIN_SHAPE_RATIO, _LARGE_SHAPE)
+    ways = [way for way, least in shapes.items() if least <= agreeing]
+    if not ways:
+        return None
+    return Note(
+        f"{campaign.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
+        f"beside a plane their heights differ by {plain(size * 1e3, 3)} mm rms, and by "
+        f"{plain(min(shapes.values()) * 1e3, 3)} mm if the places of one are mirrored or turned, "
+        f"such as {' or '.join(ways)}. Correct the order of its rows and columns, or probe it "
+        f"again; of a plate that was turned say by how much (turned_deg, or --turned NAME=DEGREES "
+        f"on import)",
+        "apart",
+    )
 
 
 def _note(name: str, other: str, places: Array, difference: Array) -> Note | None:
@@ -126,10 +174,13 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
 
 
 def _differences(
-    kinematics: DeltaKinematics, campaign: Readings, other: Readings, relative: bool
-) -> tuple[Array, Array]:
+    kinematics: DeltaKinematics, campaign: Readings, other: Readings, relative: bool,
+    symmetry: Array | None = None,
+) -> tuple[Array, Array]:  # fmt: skip
     """Return common places ``(n, 2)`` of two lists and by how much the plate of the first is
     higher there ``(n,)``, metres; empty if they are too few, or the plate was turned between them.
+
+    With a symmetry, a matrix ``(2, 2)``, each place is compared with its image.
     """
     from scipy.interpolate import LinearNDInterpolator  # which is slow to load
 
@@ -141,7 +192,8 @@ def _differences(
     if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
         return np.empty((0, 2)), np.empty(0)
     q, first = np.unique(np.round(q, 5), axis=0, return_index=True)
-    difference = heights - LinearNDInterpolator(q, other_heights[first])(p)
+    images = p if symmetry is None else p @ symmetry
+    difference = heights - LinearNDInterpolator(q, other_heights[first])(images)
     difference *= 1 if few is campaign else -1
     common = np.isfinite(difference)
     if common.sum() < _MIN_COMMON_PLACES:

@@ -21,6 +21,7 @@ from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
 from orthoglide.geometry import Array, fit_plane
 from orthoglide.instruments import PRINTED, Distance, PlateTouch, Setup
 from orthoglide.numerals import compact, plain, signed
+from orthoglide.units import MICROSTEP_RATIOS, PULLEY_RATIOS
 
 PROBE_REPEATABILITY = 1.8e-5
 """Repeatability of a touch, metres."""
@@ -46,11 +47,9 @@ _STORED_KINDS = {  # kinds of values in [delta_calibrate]: keys of positions; li
 }
 _FULL_STEPS = 200  # of a motor in one turn, the firmware's default
 _MAX_VALUE_ERROR = 3e-3  # metres between a stored value and the one that the stored numbers give
-_MAX_DISTANCE_SHARE = 0.2  # relative tolerance of distances: one wrong digit is found as a slip
+_MAX_DISTANCE_ERROR = 0.2, 1e-2  # share, or metres: one wrong digit, or a pillar's width, is found
 _MIN_PROBE_OFFSET = 1e-3  # metres: a smaller offset of a probe corrects the nozzle's height
 _EQUAL_OFFSETS = 2e-5  # metres: heights stored with another offset of the probe differ by more
-_STEP_RATIOS = (1.0, *(2.0**k for k in (1, -1, 2, -2, 3, -3, 4, -4)))
-"""Candidate ratios of the stored length of a step to the present one."""
 _TOWER_SETS = (np.ones(3), *np.eye(3))  # whose steps are changed together
 _NOISE = {"height": PROBE_REPEATABILITY, "manual_height": PROBE_REPEATABILITY, "distance": 1e-4}
 _NEWTON_STEPS = 6  # of a factor of travel, to which heights are nearly proportional
@@ -139,7 +138,7 @@ def _excess(value: Array, p: Array) -> tuple[Array, Array]:
         return p[:, :, 2] - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
     distance = np.linalg.norm(p[:, 1] - p[:, 0], axis=1)
     most = np.full((len(value), 3), _MAX_VALUE_ERROR)
-    most[:, 0] = _MAX_DISTANCE_SHARE * value
+    most[:, 0] = np.maximum(_MAX_DISTANCE_ERROR[0] * value, _MAX_DISTANCE_ERROR[1])
     return np.column_stack([distance - value, p[:, :, 2]]), most
 
 
@@ -162,21 +161,25 @@ def _microstep_ratios(
     """Return the ratios of the stored length of a microstep to the present one ``(3,)``.
 
     Microsteps, of all towers or of one, may have been changed since the readings were stored: the
-    first ratio at which most readings are plausible is taken, else 1. ``way`` is that from the
-    endstops at the present ratio.
+    first ratio at which most readings are plausible is taken, else 1. Other pulleys or motors, of
+    all towers, are sought for distances: to heights, `_step_factors` fits any ratio. ``way`` is
+    that from the endstops at the present ratio.
     """
-    for ratio, towers in product(_STEP_RATIOS, _TOWER_SETS):
+    others = product(PULLEY_RATIOS, _TOWER_SETS[:1]) if way.shape[1] > 1 else ()
+    for ratio, towers in (*product(MICROSTEP_RATIOS, _TOWER_SETS), *others):
         ratios = np.where(towers, ratio, 1.0)
         excess, most = _excess(value, _positions(numbers, way * ratios))
         if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
             if ratio != 1.0:
                 alone, outcome = _single_tower(ratios), "and are converted"
+                if ratio in PULLEY_RATIOS:
+                    outcome += ": the motor's steps or the pulley's teeth were others"
                 if alone:
                     outcome = f"on {alone} alone: correct its microsteps, or run DELTA_CALIBRATE"
                 config.note(
                     CHANGED_NOTE if alone else "readings",
                     f"the positions of {kind}s in [delta_calibrate] were stored with "
-                    f"{1 / ratio:g} times the microsteps of now, {outcome}",
+                    f"{1 / ratio:.4g} times the microsteps of now, {outcome}",
                 )
             return ratios
     return np.ones(3)

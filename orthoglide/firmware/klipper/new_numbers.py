@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orthoglide.accuracy import drawn_errors, lack_of_gain
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper.corrections import ResidualChange, corrections_of, make_record
 from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY, PROBE_REPEATABILITY
@@ -73,7 +74,8 @@ def new_numbers(
         return None
     points = _grid_points(widest)
     plane = plane_columns(points) @ _zero_plane(touched, plates, reach, meshes_relative)
-    commands = machine.inverse(points + np.outer(plane, [0.0, 0.0, 1.0]))
+    wanted = points + np.outer(plane, [0.0, 0.0, 1.0])
+    commands = machine.inverse(wanted)
 
     def residuals(numbers: Numbers) -> Array:
         error = _firmware_points(numbers, old, commands) - points
@@ -87,6 +89,12 @@ def new_numbers(
     new = _fit_numbers(start, residuals, count)
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
     keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason(changes)
+    if not keep:
+        relative = meshes_relative and all(t.name != CALIBRATION for t in touched)
+        before, after = (
+            _drawn_rms(machine, _commands(n, old, points), wanted, relative) for n in (old, new)
+        )
+        keep = lack_of_gain(float(np.mean(before - after)), float(np.std(before - after)))
     return corrections_of(old, make_record(old, new, changes, keep, rods_measured))
 
 
@@ -150,6 +158,27 @@ def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:
     counted with the old numbers.
     """
     return numbers.points(command + old.zero - old.at_endstop + numbers.at_endstop)
+
+
+def _commands(numbers: Numbers, old: Numbers, points: Array) -> Array:
+    """Return travel ``(n, 3)`` as counted with the old numbers, by which a firmware with others
+    goes to points ``(n, 3)``.
+    """
+    return numbers.heights(points) - numbers.at_endstop + old.at_endstop - old.zero
+
+
+def _drawn_rms(machine: Machine, commands: Array, wanted: Array, relative: bool) -> Array:
+    """Return weighted root mean squares ``(draws,)`` of errors of the nozzle at commands for places
+    on the plate ``(n, 3)``, of machines drawn from the posterior, metres.
+
+    Whatever the machine, z = 0 is the plane of its touches: only the machine itself has an error of
+    height and slope there, and none of height if ``relative`` says that this is unknown.
+    """
+    error, mean = drawn_errors(machine, commands, wanted), machine.forward(commands) - wanted
+    height = mean[:, 2] - relative * mean[:, 2].mean()
+    height = height + fit_plane(wanted, (error[:, :, 2] - mean[:, 2]).T)[1].T
+    along = _LATERAL_WEIGHT * _without_rigid_motion(wanted, error[:, :, :2])
+    return np.asarray(np.sqrt(np.mean(height**2 + np.sum(along**2, axis=-1), axis=1)))
 
 
 def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[Array, Array]:
@@ -238,13 +267,13 @@ def _fit_numbers(start: Numbers, residuals: Callable[[Numbers], Array], count: i
 
 
 def _without_rigid_motion(points: Array, along: Array) -> Array:
-    """Return errors along the plate ``(n, 2)`` without their common shift and rotation."""
+    """Return errors along the plate ``(..., n, 2)`` without their common shift and rotation."""
     moves = np.zeros((len(points), 2, 3))
     moves[:, 0, 0] = moves[:, 1, 1] = 1.0
     moves[:, :, 2] = np.column_stack([-points[:, 1], points[:, 0]])
     turn = np.linalg.qr(moves.reshape(-1, 3))[0]
-    flat = along.ravel()
-    return np.asarray(flat - turn @ (turn.T @ flat)).reshape(-1, 2)
+    flat = along.reshape(*along.shape[:-2], -1)
+    return np.asarray(flat - flat @ turn @ turn.T).reshape(along.shape)
 
 
 def _grid_points(radius: float) -> Array:
