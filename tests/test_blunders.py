@@ -13,17 +13,14 @@ import pytest
 
 from orthoglide.errors import InputError
 from orthoglide.explanation import data_faults, ranked_readings
-from orthoglide.explanation.alternative_readings import (
-    list_alternative_readings,
-    setups_to_reinterpret,
-)
+from orthoglide.explanation.alternative_readings import alternative_readings, setups_to_reinterpret
+from orthoglide.explanation.corrections import with_exact_size
 from orthoglide.explanation.data_faults import (
     DataFindings,
     find_data_faults,
     report_faults,
     without_faults,
 )
-from orthoglide.explanation.fault_columns import FaultColumns, with_exact_size
 from orthoglide.explanation.faults import Fault, setups_of
 from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.identifying import identify
@@ -241,8 +238,7 @@ def test_a_wrong_command_at_zero_travel_is_solved_exactly():
 def test_a_wrong_command_beyond_reach_keeps_its_linear_size(machine):
     problem = estimate_of(rows_of("standard"), machine).problem
     fault = Fault("command", np.array([0, 1]), size=0.5, drive=0)
-    linear = FaultColumns(fault, np.ones((2, 1)), unit=1e-3, expected_count=1.0)
-    assert with_exact_size(problem, problem.start, fault, linear) is fault
+    assert with_exact_size(problem, problem.start, fault, np.full(2, 500.0)) is fault
 
 
 def test_a_wrong_command_is_told_as_the_controller_has_it(machine):
@@ -316,7 +312,7 @@ def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     (setup,) = (k for k, s in enumerate(problem.setups) if s.name == "xy-0.5")
     labels = [
         fault
-        for fault in list_alternative_readings(problem, setups_to_reinterpret(problem, []))
+        for fault in alternative_readings(problem, setups_to_reinterpret(problem, []))
         if fault.relabels
     ]
     tried = {f.label for f in labels if f.kind == "label" and setups_of(problem, f) == [setup]}
@@ -349,9 +345,9 @@ def test_labels_that_cannot_beat_another_explanation_are_not_compared(machine, m
     posterior, rows = posterior_at_base_fit(fit), setups_to_reinterpret(fit.problem, [])
     compared = list[object]()
     monkeypatch.setattr(
-        ranked_readings, "_relabelled_log_likelihood", lambda *a: compared.append(a) or -np.inf
+        ranked_readings, "_relabelled_log_likelihoods", lambda *a: compared.append(a) or -np.inf
     )
-    labels = [f for f in list_alternative_readings(fit.problem, rows) if f.relabels]
+    labels = [f for f in alternative_readings(fit.problem, rows) if f.relabels]
     likeliest_misreading(fit, posterior, labels, rows)
     assert compared
     compared.clear()

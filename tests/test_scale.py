@@ -79,11 +79,24 @@ def test_equal_rows_are_stored_once() -> None:
     of_groups, constant = rng.standard_normal((3, 2)), rng.standard_normal((3, 1))[index]
     step = (np.arange(8) > 4).astype(float)[:, None]
     whole = np.hstack([of_groups[index], constant, step])
-    merged = MergedRows.from_blocks([of_groups, constant], 3, index).beside([step], 1)
-    assert len(merged.distinct) == 6  # the step splits each group
+    merged = MergedRows((), index).beside([of_groups, constant]).beside([step])
+    assert len(merged.first) == 6  # the step splits each group
     assert np.array_equal(merged.columns(), whole)
     vector = rng.standard_normal(4)
     assert merged @ vector == pytest.approx(whole @ vector)
+
+
+def test_rows_of_many_readings_take_half_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have single precision, and blocks that no later step reads are released."""
+    monkeypatch.setattr(compression, "MOST_RANKED_READINGS", 10)
+    rng = np.random.default_rng(0)
+    one, other = rng.standard_normal((2, 20, 3))
+    merged = MergedRows((), np.arange(20)).beside([one, other])
+    assert merged.columns() == pytest.approx(np.hstack([one, other]), rel=1e-7)
+    assert sum(block.nbytes for block, _ in merged.blocks) == (one.nbytes + other.nbytes) / 2
+    reduced = merged.reduced_to(np.array([4]))
+    assert np.array_equal(reduced.columns([3, 5]), merged.columns([3, 5]))
+    assert [len(block) for block, _ in reduced.blocks] == [0, 20]
 
 
 @pytest.mark.parametrize("by_station", [False, True])
@@ -98,7 +111,7 @@ def test_directions_of_blocks_against_all_at_once(by_station: bool) -> None:
     rng = np.random.default_rng(0)
     station = found.problem.station
     index = equal_rows(station if by_station else np.arange(n))
-    merged = MergedRows.from_blocks([1e-5 * rng.standard_normal((index.max() + 1, 9))], 9, index)
+    merged = MergedRows((), index).beside([1e-5 * rng.standard_normal((index.max() + 1, 9))])
     rows, rest = merged.columns(), 1e-5 * rng.standard_normal(n)
     dense, left = nuisance.project(rows), nuisance.project(rest)
     seen, residual, root, (square, count, visits) = compress_readings(nuisance, merged, rest)

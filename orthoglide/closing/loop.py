@@ -131,7 +131,9 @@ def _search(
         problem = replace(problem, per_campaign=(*problem.per_campaign, *separate))
     changed_names = [c.parameter for c in causes]
     before = solve(problem, method="nested") if faults or changes else base_fit
-    posterior = full_posterior(before, changed_names, findings.posterior, findings.ambiguous)
+    posterior = findings.posterior
+    if posterior is None:
+        posterior = full_posterior(before, changed_names, fault_keys=findings.ambiguous)
     progress(Step("testing"))
     sets = credible_sets(posterior, changed_names)
     fit_test = posterior_lack_of_fit(posterior, sets)

@@ -50,10 +50,10 @@ def setups_to_reinterpret(problem: Problem, faults: Sequence[Fault]) -> dict[int
     return {s: rows for s, rows in weighted.items() if len(rows) > 1}
 
 
-def list_alternative_readings(problem: Problem, rows_by_setup: RowsBySetup) -> list[Fault]:
-    """Return every sign, unit, label, exchange, shift and stuck run of dials."""
+def alternative_readings(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
+    """Yield every sign, unit, label, exchange, shift and stuck run of dials."""
     generators = (_signs, _units, _labels, _exchanges, _shifts, _stuck)
-    return [one for kind in generators for one in _sharing_prior(kind(problem, rows_by_setup))]
+    return (one for kind in generators for one in _sharing_prior(kind(problem, rows_by_setup)))
 
 
 def _sharing_prior(kind: Iterable[Fault]) -> list[Fault]:

@@ -49,7 +49,9 @@ SLAB_ODDS = tuple(
 )
 """Log prior odds of each width, relative to equal probabilities."""
 
-_MOST_CHANGES = 12  # largest number of changes between two visits
+_MOST_CHANGES = 12
+"""Largest number of changes between two visits: of three zeros and three lengths, as after new bars
+and endstops, and of as many other parameters as a machine has active causes (`LinearModel`)."""
 
 INDISTINGUISHABLE_CHI2 = CERTAIN_SIGMAS**2
 """Rise of chi2 within which two causes are indistinguishable (Wilks)."""

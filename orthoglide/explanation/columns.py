@@ -13,7 +13,7 @@ from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.candidates import build_groups, coefficient_spans
-from orthoglide.explanation.compression import MergedRows, WhitenedReadings
+from orthoglide.explanation.compression import MOST_RANKED_READINGS, MergedRows, WhitenedReadings
 from orthoglide.explanation.dial_curves import dial_curve_columns
 from orthoglide.explanation.fault_columns import (
     FaultColumns,
@@ -31,6 +31,7 @@ from orthoglide.explanation.free_form import (
 from orthoglide.explanation.linear_model import (
     RARE_LOG_PRIOR,
     SLAB_SCALES,
+    Group,
     LinearModel,
     drop_unseen_directions,
     identity_group,
@@ -99,6 +100,19 @@ class LinearisedModel:
         """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
 
+    def at_mean(self, mean: Array, groups: Sequence[Group]) -> LinearisedModel:
+        """Return the model with its linearisation error at a mean ``(C,)``.
+
+        Of readings that are not ranked, the rows of free-form errors and data faults that are not
+        among the groups are left out, which saves memory.
+        """
+        model = replace(self, linearisation_error=self._linearisation_error_at(mean))
+        if len(self.value_at_zero) <= MOST_RANKED_READINGS:
+            return model
+        kept = [np.arange(self.parameter_count), np.flatnonzero(self.linear.plate_shapes)]
+        kept += [group.coefficients for group in groups]
+        return replace(model, rows=self.rows.reduced_to(np.concatenate(kept)))
+
     def visible_part(self, coefficients: Any, values: Array) -> Array:
         """Return the readings ``(n,)`` that some coefficients predict, datums and all other
         nuisances of the instruments fitted.
@@ -106,7 +120,7 @@ class LinearisedModel:
         readings = self.rows.columns(coefficients) @ values
         return np.asarray(readings - self.nuisance.explained_residual(readings))
 
-    def linearisation_error_at(self, mean: Array) -> float:
+    def _linearisation_error_at(self, mean: Array) -> float:
         """Return the rms difference, in sigmas, of the prediction at a mean ``(C,)`` from its
         linearisation.
 
@@ -218,7 +232,7 @@ def _machine_model(
     twin_parameters = twins(full_problem, base_count, readings.columns[:, : len(sd)], slopes)
     replaced = {other.plain for factors in twin_parameters.values() for other, _ in factors}
     replaced_index = np.flatnonzero([name.plain in replaced for name in full_problem.names])
-    rows.distinct[:, replaced_index] = readings.columns[:, replaced_index] = 0.0
+    rows.blocks[0][0][:, replaced_index] = readings.columns[:, replaced_index] = 0.0
     fixed_sd[replaced_index] = _ZERO_SD
     readings = readings.with_prior_rows(prior_rows, units)
     replacements = {
@@ -270,8 +284,7 @@ def _scaled_columns(
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
     blocks = chain([linearised.jacobian * sd], machine_blocks, dial_blocks, [plate_block])
-    rows = MergedRows.from_blocks(blocks, len(units), index)
-    return rows, units, errors, len(plate_sd)
+    return MergedRows((), index).beside(blocks), units, errors, len(plate_sd)
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:
@@ -280,8 +293,7 @@ def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) 
         return model
     problem, linear = model.problem, model.linear
     residual = problem.measured - model.value_at_zero
-    n, count = len(residual), sum(s.coefficient_count for s in suspects)
-    rows = model.rows.beside((s.full_columns(n) for s in suspects), count)
+    rows = model.rows.beside(s.full_columns(len(residual)) for s in suspects)
     units = np.concatenate([model.units, *(np.full(s.coefficient_count, s.unit) for s in suspects)])
     readings = WhitenedReadings.of(problem, model.nuisance, rows, residual)
     readings = readings.with_prior_rows(model.prior_rows, units)

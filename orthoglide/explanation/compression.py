@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,57 +30,87 @@ from orthoglide.observations.arrays import equal_rows
 COMPRESSION_THRESHOLD = 5000
 """Number of readings above which they are compressed: with 2000 columns they take 80 MB."""
 
+MOST_RANKED_READINGS = 10_000
+"""Number of readings up to which misreadings are ranked, for which all columns are kept by reading:
+for more, four matrices by unknowns take over 0.4 GB."""
+
 _BLOCK = 4096  # readings in a block, which is no larger than readings that are not compressed
 _ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MergedRows:
-    """A matrix ``(n, C)`` whose equal rows are stored once."""
+    """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once.
 
-    distinct: Array  # distinct rows, in the order of their first occurrence (m, C)
-    index: NDArray[np.int64]  # of each row among them (n,)
+    Blocks are not copied into one array, which would need as much memory again. Those of readings
+    that are not ranked have single precision: its rounding is below ``_ROUNDING``.
+    """
 
-    @classmethod
-    def from_blocks(
-        cls, blocks: Iterable[Array], count: int, index: NDArray[np.int64]
-    ) -> MergedRows:
-        """Return blocks of columns side by side.
+    # columns by distinct row, and the index of each row among these (n,); parameters come first
+    blocks: tuple[tuple[Array, NDArray[np.int64]], ...]
+    index: NDArray[np.int64]  # from `equal_rows`: number of each row among the distinct ones (n,)
+
+    def beside(self, blocks: Iterable[Array]) -> MergedRows:
+        """Return the matrix with further blocks.
 
         Args:
-            blocks: of all rows ``(n, K)``, or of the first row of each group ``(g, K)``.
-            count: of all columns ``C``.
-            index: from :func:`equal_rows`, group of each row ``(n,)``; columns of all rows may
-                differ within a group.
+            blocks: of all rows ``(n, K)``, or of the first of each set of equal rows ``(m, K)``;
+                columns of all rows may differ within such a set.
         """
-        first = np.unique(index, return_index=True)[1]
-        distinct, start = np.empty((len(first), count)), 0
-        varying: list[tuple[slice, Array]] = []
-        for block in blocks:
-            span = slice(start, start := start + block.shape[1])
-            distinct[:, span] = block if len(block) == len(first) else block[first]
-            if len(block) != len(first) and (distinct[index, span] != block).any():
-                varying.append((span, block))
+        first, every, index = self.first, np.arange(len(self.index)), self.index
+        precision = np.float64 if len(every) <= MOST_RANKED_READINGS else np.float32
+        added = list[tuple[Array, NDArray[np.int64]]]()
+        for given in blocks:
+            block: Array = given.astype(precision, copy=False)
+            merged = block if len(block) == len(first) else block[first]
+            is_merged = merged is block or np.array_equal(merged[index], block)
+            added.append((merged, index) if is_merged else (block, every))
+        varying = [block for block, rows in added if rows is every]
         if varying:
-            finer = equal_rows(np.column_stack([index, *(block for _, block in varying)]))
-            first = np.unique(finer, return_index=True)[1]
-            distinct, index = distinct[index[first]], finer
-            for span, block in varying:
-                distinct[:, span] = block[first]
-        return cls(distinct, index)
+            index = equal_rows(np.column_stack([index, *varying]))
+        return MergedRows((*self.blocks, *added), index)
 
-    def beside(self, blocks: Iterable[Array], count: int) -> MergedRows:
-        """Return the matrix with blocks of ``count`` further columns ``(n, K)``."""
-        total = self.distinct.shape[1] + count
-        return self.from_blocks(chain([self.distinct], blocks), total, self.index)
+    @property
+    def first(self) -> NDArray[np.int64]:
+        """First of each set of equal rows ``(m,)``."""
+        return np.unique(self.index, return_index=True)[1]
+
+    @cached_property
+    def _ends(self) -> NDArray[np.intp]:
+        """Index of the column after each block ``(blocks,)``."""
+        return np.cumsum([block.shape[1] for block, _ in self.blocks])
+
+    def reduced_to(self, columns: NDArray[np.intp]) -> MergedRows:
+        """Return the matrix without the blocks that have none of some columns, which saves memory;
+        blocks that are left out are without rows.
+        """
+        kept = np.isin(np.arange(self._ends[-1]), columns)
+        blocks = [
+            (block if part.any() else np.empty((0, len(part))), index)
+            for (block, index), part in zip(
+                self.blocks, np.split(kept, self._ends[:-1]), strict=True
+            )
+        ]
+        return MergedRows(tuple(blocks), self.index)
+
+    def rows(self, which: NDArray[np.int64]) -> Array:
+        """Return some rows ``(k, C)``."""
+        return np.hstack([block[index[which]] for block, index in self.blocks])
 
     def columns(self, which: Any = slice(None)) -> Array:
         """Return some columns ``(n, k)``, by an index of NumPy, or all of them."""
-        return np.asarray(self.distinct[:, which][self.index])
+        chosen = np.arange(self._ends[-1])[which]
+        number = np.searchsorted(self._ends, chosen, side="right")
+        columns = np.empty((len(self.index), len(chosen)))
+        for k in np.unique(number).tolist():
+            (block, index), in_block = self.blocks[k], number == k
+            columns[:, in_block] = block[:, chosen[in_block] - self._ends[k]][index]
+        return columns
 
     def __matmul__(self, vector: Array) -> Array:
         """Return the product with a vector ``(C,)``: ``(n,)``."""
-        return np.asarray((self.distinct @ vector)[self.index])
+        parts = zip(self.blocks, np.split(vector, self._ends[:-1]), strict=True)
+        return np.asarray(sum((block @ part)[index] for (block, index), part in parts))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -136,21 +166,17 @@ def compress_readings(
     """
     first, counts = np.unique(rows.index, return_index=True, return_counts=True)[1:]
     sigma, nuisance = nuisance.weighing.sigma[first], nuisance.of_means(rows.index)
-    means = np.bincount(rows.index, residual) / counts
-    (n, count), basis = rows.distinct.shape, nuisance.basis
-
-    def whitened_blocks() -> Iterator[tuple[NDArray[np.int64], Weighing, Array]]:
-        """Yield the rows of each block, their weighing, and its whitened columns and residual."""
-        for block, weighing in _station_blocks(nuisance.weighing):
-            columns = np.column_stack([rows.distinct[block], means[block]])
-            yield block, weighing, weighing.whiten(columns)
-
-    nuisance_part = np.zeros((basis.shape[1], count + 1))
-    for block, _, whitened in whitened_blocks():
-        nuisance_part += basis[block].T @ whitened
+    residual_rows = (np.bincount(rows.index, residual) / counts)[:, None], rows.index
+    readings = MergedRows((*rows.blocks, residual_rows), rows.index)
+    basis, whiten, n = nuisance.basis, nuisance.weighing.whiten, len(first)
+    nuisance_part = np.hstack(
+        [basis[:n].T @ whiten(block[index[first]]) for block, index in readings.blocks]
+    )
     tail = -basis[n:] @ nuisance_part
-    gram, station_gram, station_chi2 = tail.T @ tail, np.zeros((count + 1,) * 2), 0.0
-    for block, weighing, whitened in whitened_blocks():
+    gram, station_chi2 = tail.T @ tail, 0.0
+    station_gram = np.zeros_like(gram)
+    for block, weighing in _station_blocks(nuisance.weighing):
+        whitened = weighing.whiten(readings.rows(first[block]))
         whitened -= basis[block] @ nuisance_part
         gram += whitened.T @ whitened
         unit_error = weighing.whiten(sigma[block])

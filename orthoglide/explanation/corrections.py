@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
+from orthoglide.errors import ClosureError
 from orthoglide.explanation.faults import (
     DATUM_KINDS,
     MISREADING_KINDS,
@@ -20,6 +22,8 @@ from orthoglide.explanation.faults import (
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+
+COMMAND_UNIT = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
 
 
 def with_faults_corrected(problem: Problem, faults: Sequence[Fault]) -> Problem:
@@ -91,6 +95,35 @@ def _with_rate_free(problem: Problem, fault: Fault) -> Problem:
     name = problem.setups[setup].name
     factors[k] = replace(factors[k], drifting=(*factors[k].drifting, name))
     return replace(problem, factors=tuple(factors))
+
+
+def with_exact_size(problem: Problem, x: Array, fault: Fault, change: Array) -> Fault:
+    """Return a wrong command with the size that changes its readings as the linear model says;
+    unchanged, if the machine does not reach it.
+
+    Millimetres are far from linear: at zero travel a command moves the dials on its own leg to
+    second order only.
+
+    Args:
+        problem: the readings, with the command as written.
+        x: values of its unknowns ``(P,)``, SI.
+        fault: the wrong command with the size of the linear model.
+        change: of its readings in that model ``(k,)``, metres.
+    """
+    k, _ = factors_and_rows(problem, fault.rows)[0]
+    rows, values = fault.rows - problem.factor_rows[k].start, problem.values(k, x)
+
+    def predicted(size: float) -> Array:
+        corrected = with_faults_corrected(problem, [replace(fault, size=size)])
+        return problem.machine.model.readings(values, corrected.campaigns[k].subset(rows))
+
+    wanted = predicted(0.0) + change
+    try:
+        found = least_squares(lambda size: predicted(size[0]) - wanted, fault.size, xtol=1e-12,
+                              ftol=1e-12, gtol=None, x_scale=COMMAND_UNIT)  # fmt: skip
+    except ClosureError:  # the linear size is not reached
+        return fault
+    return replace(fault, size=float(found.x[0])) if found.success else fault
 
 
 def _with_readings(problem: Problem, measured: Array) -> Problem:

@@ -13,10 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.explanation.alternative_readings import (
-    list_alternative_readings,
-    setups_to_reinterpret,
-)
+from orthoglide.explanation.alternative_readings import alternative_readings, setups_to_reinterpret
 from orthoglide.explanation.assumed_noise import (
     check_scatter,
     find_scattered_setups,
@@ -40,6 +37,7 @@ from orthoglide.explanation.faults import (
 from orthoglide.explanation.full_posterior import (
     FullPosterior,
     full_posterior,
+    posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
 from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
@@ -70,8 +68,8 @@ class DataFindings:
 
     faults: tuple[Fault, ...]  # data faults, in the order they were found
     changes: tuple[Change, ...]  # changed parameters with their values
-    # posterior of the readings as given; absent if a fault was found or is possible, if the machine
-    # changed, or if the noise was estimated again
+    # converged posterior of the readings as given; absent if a fault was found, or is possible but
+    # not ambiguous, if the machine changed, or if the noise was estimated again
     posterior: FullPosterior | None
     # faults that a cause of the machine may explain equally well
     ambiguous: frozenset[FaultKey] = frozenset()
@@ -99,22 +97,23 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         fit = estimate if corrected is problem else fit_nested(corrected)
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
         changes, cost = likeliest_changes(fit)
-        base, misreading = fit, None
-        posterior = posterior_with_corrected_commands(fit)
-        if changes:
-            posterior_without_changes = posterior
-            base = fit_nested(with_changes_separate(fit.problem, changes))
+        base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
+        posterior = first = posterior_with_corrected_commands(base)
+        if first.mixture.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
+            base = fit_nested(with_smaller_noise(base.problem, _noise_square_ratios(first)))
             posterior = posterior_with_corrected_commands(base)
-            evidence = posterior.evidence - cost
-            misreading = _find_misreading(fit, posterior_without_changes, faults_found, evidence)
-        if misreading is None:
-            if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
-                ratios = _noise_square_ratios(posterior)
-                base = fit_nested(with_smaller_noise(base.problem, ratios))
-                posterior = posterior_with_corrected_commands(base)
-            misreading = _find_misreading(base, posterior, faults_found)
+        misreading = _find_misreading(base, posterior, faults_found)
+        if changes and misreading is None:  # which may explain the readings without changes
+            evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
+            misreading = _find_misreading(fit, unchanged, faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
-        faults = _certain_faults(base, found) if misreading is None else [misreading]
+        converged = None
+        if misreading is None and found.ambiguous and not found.certain:
+            # An alternative in the machine may fit only in the linearisation at the base fit. If it
+            # is gone where the posterior has converged, data faults alone explain the readings.
+            converged = full_posterior(base, fault_keys=found.ambiguous)
+            found = found._replace(certain=credible_faults(converged).certain)
+        faults = found.certain if misreading is None else [misreading]
         if contradictions:
             faults = _without_slips(faults)
         if not faults:
@@ -125,13 +124,14 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
     else:
         unsettled = (_unsettled_note(),)
     check_scatter(posterior.before.problem)
-    noise_unchanged = np.array_equal(posterior.before.problem.sigma, problem.sigma)
-    suspected = any(group.of_data for group in posterior.mixture.linear.groups)
-    altered = faults_found or changes or found.ambiguous or suspected
+    if found.ambiguous:
+        as_given = converged if base is estimate else None
+    else:
+        as_given = None if faults_found or changes else _converged_as_given(estimate, first)
     return DataFindings(
         tuple(faults_found),
         tuple(change.with_separate_fit(posterior.before) for change in changes),
-        posterior if noise_unchanged and not altered else None,
+        as_given,
         found.ambiguous,
         (*contradictions, *unsettled, *_probable_fault_notes(posterior.before.problem, found)),
     )
@@ -152,15 +152,14 @@ def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> Cre
     return found._replace(certain=certain, probable=probable)
 
 
-def _certain_faults(base: Estimate, found: CredibleFaults) -> list[Fault]:
-    """Return the data faults that are certain, from a base fit and those of its first posterior.
-
-    An alternative in the machine may fit only in the linearisation at the base fit. If it is gone
-    where the posterior has converged, data faults alone explain the readings.
+def _converged_as_given(estimate: Estimate, first: FullPosterior) -> FullPosterior | None:
+    """Return the converged posterior of a fit from its first one; ``None`` if that has data faults
+    to consider or other noise.
     """
-    if found.certain or not found.ambiguous:
-        return found.certain
-    return credible_faults(full_posterior(base, fault_keys=found.ambiguous)).certain
+    suspected = any(group.of_data for group in first.mixture.linear.groups)
+    if suspected or not np.array_equal(first.before.problem.sigma, estimate.problem.sigma):
+        return None
+    return full_posterior(estimate, first_posterior=first)
 
 
 def _without_slips(faults: Sequence[Fault]) -> list[Fault]:
@@ -237,7 +236,7 @@ def _find_misreading(
     better than they stand; ``None`` if there is none.
     """
     rows_by_setup = setups_to_reinterpret(base.problem, faults)
-    alternatives = list_alternative_readings(base.problem, rows_by_setup)
+    alternatives = alternative_readings(base.problem, rows_by_setup)
     return likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
 
 

@@ -18,7 +18,9 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, descending, largest
 _MOST_DIAL_BUMPS = 2  # for each dial, at the readings that they explain best: 4 changed no result
 _LEAST_DIAL_MOVE = 1e-6  # metres: the finest step of dials
 _CLEAR_DIAL_MOVE = 5e-6  # metres: less is within the repeatability of dials
-_DIRECTION_SEPARATION = 3.0  # least mean difference of both directions' residuals, in scatters
+_DIRECTION_SEPARATION = 3.0
+"""Least mean difference of both directions' residuals, in scatters: the nearer direction is then
+the true one of 93 % of the readings, which lie within 1.5 scatters."""
 
 
 def dial_curve_columns(

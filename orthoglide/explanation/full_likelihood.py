@@ -79,7 +79,8 @@ class FullLikelihood:
         """Linearise the readings about the posterior, with the slab of some active groups."""
         nuisance = model.nuisance
         precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        columns, expected = in_standard_deviations(model, model.rows.distinct, scales, slab_root)
+        rows = model.rows.rows(model.rows.first)
+        columns, expected = in_standard_deviations(model, rows, scales, slab_root)
         group, means = model.rows.index, nuisance.of_means(model.rows.index)
         return cls(
             nuisance.weighing,

@@ -15,8 +15,8 @@ import numpy as np
 from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
-from orthoglide.explanation.corrections import with_faults_corrected
-from orthoglide.explanation.fault_columns import FaultKey, with_exact_size
+from orthoglide.explanation.corrections import with_exact_size, with_faults_corrected
+from orthoglide.explanation.fault_columns import FaultKey
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE, Group
 from orthoglide.explanation.mixture import LEAST_PROBABILITY, Mixture
@@ -92,9 +92,11 @@ class FullPosterior:
         the problem with the commands as written.
         """
         x, possible = self.before.x, self.alternatives.possible_commands
-        faults = {self.mixture.linear.groups[k]: self.data_fault(member, k)
-                  for member, k in possible.items()}  # fmt: skip
-        return {g.name: with_exact_size(written, x, f, g.source) for g, f in faults.items()}
+        exact, groups = dict[str, Fault](), self.mixture.linear.groups
+        for member, k in possible.items():
+            fault, columns = self.data_fault(member, k), groups[k].source
+            exact[groups[k].name] = with_exact_size(written, x, fault, columns.change(fault))
+        return exact
 
     @property
     def next_point(self) -> Array:
@@ -305,12 +307,10 @@ def full_posterior(
     narrow_problem = before.problem.with_prior_widths_reset()
     already_narrow = narrow_problem is before.problem
     try:
-        if already_narrow:
-            narrow_fit = before
-        elif first_posterior is not None:
+        if first_posterior is not None:
             narrow_fit = first_posterior.before
         else:
-            narrow_fit = solve(narrow_problem, widen=False)
+            narrow_fit = before if already_narrow else solve(narrow_problem, widen=False)
         narrow = _converge(narrow_fit, given, first_posterior, fault_keys)
     except NumericsError:
         if already_narrow:
@@ -374,8 +374,8 @@ def _posterior_at(
     start = () if previous is None else previous.mixture.active_groups
     linearised = linearise_full_model(before, point, corrected, suspected_faults)
     mixture = Mixture(linearised.linear, given, start)
-    error = linearised.linearisation_error_at(mixture.mean)
-    return FullPosterior(before, replace(linearised, linearisation_error=error), mixture)
+    linearised = linearised.at_mean(mixture.mean, mixture.likely_groups)
+    return FullPosterior(before, linearised, mixture)
 
 
 @contextmanager

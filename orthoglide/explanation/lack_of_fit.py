@@ -134,7 +134,9 @@ def _tail_probability(
 
 
 _MOST_STATIONS = 3  # stations with the largest residuals
-_CLEAR_RATIO = 1.05  # least ratio of the largest residual to the next, for its posture to be named
+_CLEAR_RATIO = 1.05
+"""Least ratio of the largest residual to the next, for its posture to be named: readings to a
+hundredth of a millimetre round a residual of a tenth by 5 % at most."""
 _ROUNDING = 1e-6  # root mean square of a residual that is rounding, in sigmas
 
 

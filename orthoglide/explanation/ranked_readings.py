@@ -8,7 +8,7 @@ residual of the readings, and then from what the readings with these turns corre
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import EXPECTED_COUNT, RowsBySetup, level_readings
 from orthoglide.explanation.columns import LinearisedModel
+from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.faults import Fault, Rows, setups_of, weighted_rows
@@ -34,7 +35,6 @@ from orthoglide.geometry import Array
 from orthoglide.observations import source
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 
-_MOST_READINGS = 10_000  # readings: for more, four matrices by unknowns take over 0.4 GB
 _MOST_RANKED = 3  # alternatives that are searched in full: 6 changed no result
 
 BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
@@ -50,7 +50,7 @@ def fit_nested(problem: Problem) -> Estimate:
 def likeliest_misreading(
     base: Estimate,
     posterior: FullPosterior,
-    alternatives: Sequence[Fault],
+    alternatives: Iterable[Fault],
     rows_by_setup: RowsBySetup,
     other_evidence: float = -np.inf,
     background_scales: Sequence[Scales] = BACKGROUND_SCALES,
@@ -124,7 +124,7 @@ def check_levels(estimate: Estimate) -> None:
 
 def _rank(
     posterior: FullPosterior,
-    alternatives: Sequence[Fault],
+    alternatives: Iterable[Fault],
     rows_by_setup: RowsBySetup,
     background_scales: Sequence[Scales],
     least: float,
@@ -134,7 +134,7 @@ def _rank(
     active in the readings as they stand, and then the likeliest on a machine without any.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
-    if not alternatives or len(problem.measured) > _MOST_READINGS:
+    if len(problem.measured) > MOST_RANKED_READINGS or not (alternatives := [*alternatives]):
         return []
     likelihoods, costs = _backgrounds(posterior, background_scales)
     deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
@@ -203,8 +203,8 @@ def _relabelled_log_likelihoods(
     jacobian = linearised.jacobian[changed]
     count = jacobian.shape[1]
     rows = np.zeros((len(changed), len(model.units)))
-    rows[:, :count] = jacobian * model.units[:count]
-    rows[:, ~model.rows.distinct.any(axis=0)] = 0.0
+    in_model = model.rows.blocks[0][0].any(axis=0)  # all but parameters that a twin represents
+    rows[:, :count] = jacobian * model.units[:count] * in_model
     residual = (corrected.measured - linearised.value)[changed] + jacobian @ model.point
     nuisance = nuisances(corrected, linearised.reading_poses)
     placed = nuisance.columns[changed] / np.sqrt(np.maximum(nuisance.precision, WIDEST_DATUM**-2.0))
@@ -222,7 +222,10 @@ def _relabelled_log_likelihoods(
 HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
 """Travel by one turn of the large hand of a dial, metres; the most usual first."""
 
-_DIVISION_RANGE = (40, 300)  # fewest and most divisions of a turn
+_DIVISION_RANGE = (40, 300)
+"""Fewest and most divisions of a turn. Dials have 50 (0.5 mm by hundredths) to 200, and 254 appear
+where inches were converted (2.54 mm by hundredths); the next ones, 25 and 500, are no dials: 0.254
+mm by hundredths and 0.5 mm by thousandths. The limits are near the geometric means."""
 _USUAL_DIVISIONS = (100, 200)  # divisions of most dials
 _ROUNDS = 4  # corrections of the turns
 _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm

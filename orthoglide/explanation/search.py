@@ -185,9 +185,10 @@ class Search:
         """Return the best state with two more groups of one coefficient, none in ``excluded``."""
         if len(state) + 2 > self.linear.max_active:
             return []
-        self.child_log_weights(state)
         singles, states = self._single_groups, list[State]()
         partial = self._partial_products(state, self._first_column[singles])
+        if state not in self.visited:
+            self.visited[state] = self._log_weights(state, partial)
         weights, matters = self.visited[state], self._may_matter(state, partial)
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])

@@ -183,7 +183,9 @@ SURFACE_DEGREE = 4
 """Degree of the smooth surface: rigid causes follow polynomials of this degree."""
 
 _APPROACH_DEGREE = 1  # degree of the term that depends on the approach
-_MIN_SURFACE_DOF = 12  # degrees of freedom below which a surface shows no roughness
+_MIN_SURFACE_DOF = 12
+"""Degrees of freedom below which a surface shows no roughness: on twelve it is known to a fifth, as
+its relative standard deviation is one over the root of twice their number."""
 _OUTLIER_RATIO = 6.0  # height of an outlier over the scatter of all others
 _MAX_OUTLIER_SHARE = 0.05
 """Share of a mesh: more are no single touches and no clip. At twice that, lobes of three of forty

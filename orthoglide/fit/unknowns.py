@@ -22,8 +22,10 @@ _DRIFT_SHARE = 0.02
 """Share of its tolerance by which a parameter may drift between campaigns without having changed:
 the background of other effects that a sound machine is allowed."""
 
-# Bounds keep a solver from diverging; a parameter on its bound is reported.
 _BOUND_SD = 50.0
+"""Tolerances to which a parameter is bounded, so that a solver does not diverge: five standard
+deviations of the widest prior of a search, ten tolerances. One on its bound is reported."""
+
 NOTHING_FREE = "nothing is free: name at least one parameter or family to identify"
 _MIN_BOUND = {"mm": 0.05, "rad": 0.1}  # SI, by the unit in files: 50 mm and 0.1 rad
 
