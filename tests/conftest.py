@@ -35,31 +35,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--thorough", action="store_true", help="run the cases marked thorough too")
 
 
-# Files of more than four seconds of processor time, the longest first: workers take files in this
-# order, and one that is begun last would run alone.
-LONGEST = (
-    "test_cli_closing.py", "test_observation_laws.py", "test_blunders.py", "test_field.py",
-    "test_report_verdict.py", "test_klipper.py", "test_identification.py", "test_one_station.py",
-    "test_unlisted_kinds.py", "test_result.py", "test_cli.py", "test_checking.py",
-    "test_tool_readings.py", "test_tool_faults.py", "test_former_files.py", "test_golden.py",
-    "test_view.py", "test_delta_owner.py", "test_design.py", "test_report.py",
-    "test_controller.py", "test_comparison.py", "test_noise.py",
-    "test_readings_not_as_they_seem.py", "test_rehearsal.py", "test_architecture.py",
-    "test_benchmarks_public.py", "test_changed.py", "test_firmware.py", "test_weighing.py",
-    "test_klipper_owners.py", "test_cli_laws.py", "test_effects.py", "test_hostile_input.py",
-    "test_statistics.py", "test_python.py", "test_drawing.py", "test_accuracy.py", "test_docs.py",
-    "test_python_input.py", "test_parting.py", "test_pasting.py", "test_examples.py",
-    "test_closing.py", "test_fuzz.py", "test_parallelism.py",
-)  # fmt: skip
-
-
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if not config.getoption("--thorough"):
         thorough = {item for item in items if any(_is_thorough(item))}
         config.hook.pytest_deselected(items=list(thorough))
         items[:] = [item for item in items if item not in thorough]
-    place = {name: k for k, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+    # Workers take files in this order: a long one that is begun last would run alone.
+    size = {path: path.stat().st_size for path in {item.path for item in items}}
+    items.sort(key=lambda item: (-size[item.path], item.path))
     # What is loaded by now stays: to look through it for garbage again and again takes seconds.
     gc.collect()
     gc.freeze()

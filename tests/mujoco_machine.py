@@ -2,19 +2,18 @@
 
 ``six_bar_mjcf`` is a machine written by hand as MJCF, with MuJoCo's own equality constraints: a
 free platform on six bars, each on a universal joint at its carriage and ``connect``-ed to the
-platform, which closes for any errors of the parts. Nothing of the package is used: dimensions come
-in as numbers. ``MujocoMachine`` closes the loops of this MJCF, and of those that the package
-writes, with Newton steps on MuJoCo's constraint Jacobian.
+platform. Nothing of the package is used: dimensions come in as numbers. ``MujocoMachine`` closes
+the loops of this MJCF, and of those that the package writes, with Newton steps on MuJoCo's
+constraint Jacobian.
 
 SI units; leg i has the axes a, b, c = e_i, e_(i+1), e_(i+2), bars run from the carriage toward -a,
-bar 1 is on the +c side. The six bars take legs that stand elsewhere too; they are called x, y, z
-all the same.
+bar 1 is on the +c side.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -32,78 +31,41 @@ _HEAD = (
 )
 
 
-def _of_orthoglide() -> Array:
-    return np.stack([np.roll(np.eye(3), -leg, axis=0) for leg in range(3)])
-
-
 @dataclass(frozen=True)
 class Dimensions:
-    """What is built: nominal dimensions in metres, and errors of the parts.
+    """Nominal dimensions, metres.
 
     Attributes:
         L, d, r: bar length, short link, distance from the TCP to each leg's attachment.
-        length: lengths of the bars minus L ``(leg, bar)``.
-        lateral: where each carriage's path lies beside its axis ``(leg, xyz)``.
-        turn: of the short link on the carriage about a, the turned b, the turned c ``(leg, 3)``.
-        half: by how much the platform's half of each short link is too long ``(leg, bar)``.
-        axes: unit vectors a, b, c of each leg ``(leg, abc, xyz)``.
-        places: joints of each leg on its carriage and, from the TCP, on the platform at mechanical
-            zero ``(leg, 2, xyz)``; ``None``: those of an Orthoglide.
     """
 
     L: float = 0.31025
     d: float = 0.08
     r: float = 0.031
-    length: Array = field(default_factory=lambda: np.zeros((3, 2)))
-    lateral: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    turn: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    half: Array = field(default_factory=lambda: np.zeros((3, 2)))
-    axes: Array = field(default_factory=_of_orthoglide)
-    places: Array | None = None
-
-    def joints(self, leg: int) -> tuple[Array, Array]:
-        """Joints of a leg on its carriage and on the platform ``(3,)``."""
-        if self.places is not None:
-            return self.places[leg, 0], self.places[leg, 1]
-        return self.axes[leg, 0] * (self.L + self.r), self.axes[leg, 0] * self.r
 
 
 def _text(values: Sequence[float] | Array) -> str:
     return " ".join(repr(float(v)) for v in values)
 
 
-def _short_link(size: Dimensions, leg: int) -> Array:
-    """Direction of the short link on its carriage, base frame."""
-    total, one, found = np.array([1.0, 0.0, 0.0, 0.0]), np.empty(4), np.empty(3)
-    for axis, angle in zip(size.axes[leg], size.turn[leg], strict=True):
-        mujoco.mju_axisAngle2Quat(one, axis, angle)
-        mujoco.mju_mulQuat(total, total.copy(), one)
-    mujoco.mju_rotVecQuat(found, size.axes[leg, 2], total)
-    return found
-
-
 def six_bar_mjcf(size: Dimensions) -> str:
-    """A rigid platform on six bars, with the errors of the parts built in."""
+    """A rigid platform on six bars."""
     carriages, ends, loops = [], [], []
     for leg, n in enumerate(LEGS):
-        a, b, c = size.axes[leg]
-        carriage, platform = size.joints(leg)
-        along, bars = (platform - carriage) / size.L, []
+        a, b, c = np.roll(np.eye(3), -leg, axis=0)
+        bars = []
         for bar, side in ((1, 1.0), (2, -1.0)):
-            own = size.L + size.length[leg, bar - 1]
-            # The hinges keep to the leg's axes: a turned carriage only moves the bars' ends.
-            where = side * _short_link(size, leg) * size.d / 2
+            where = side * c * size.d / 2
             bars.append(
                 f'<body pos="{_text(where)}">'
                 f'<joint name="{n}{bar}_b" type="hinge" axis="{_text(b)}"/>'
                 f'<joint name="{n}{bar}_c" type="hinge" axis="{_text(c)}"/>{_MASS}'
-                f'<site name="{n}{bar}_tip" pos="{_text(along * own)}"/></body>'
+                f'<site name="{n}{bar}_tip" pos="{_text(-a * size.L)}"/></body>'
             )
-            place = platform + side * c * (size.d / 2 + size.half[leg, bar - 1])
-            ends.append(f'<site name="{n}{bar}_end" pos="{_text(place)}"/>')
+            ends.append(f'<site name="{n}{bar}_end" pos="{_text(a * size.r + where)}"/>')
             loops.append(f'<connect site1="{n}{bar}_tip" site2="{n}{bar}_end"/>')
         carriages.append(
-            f'<body pos="{_text(carriage + size.lateral[leg])}">'
+            f'<body pos="{_text(a * (size.L + size.r))}">'
             f'<joint name="{n}_slide" type="slide" axis="{_text(a)}"/>{_MASS}{"".join(bars)}</body>'
         )
     middle = f'<body><freejoint name="platform"/>{_MASS}<site name="x_tcp"/>{"".join(ends)}</body>'

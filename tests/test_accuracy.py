@@ -1,8 +1,7 @@
-"""What is stated of the TCP's accuracy, kept beside the machine file and judged by ``rig.py``."""
+"""What is stated of the TCP's accuracy, its covariance's file, and what mending is said to gain."""
 
 from __future__ import annotations
 
-import json
 import zipfile
 from dataclasses import replace
 from functools import cache
@@ -12,11 +11,12 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks import gains
+from benchmarks.public import machine
 from orthoglide.accuracy import expected_error, workspace_grid
-from orthoglide.control import compensate
 from orthoglide.errors import FileError
+from orthoglide.explanation.budget import _Controller
 from orthoglide.machine_file import Posterior
-from orthoglide.report import result_text
 from orthoglide.verdict import Verdict, close_loop
 from tests.factors import campaign_of
 from tests.rig import Array, Rig
@@ -53,6 +53,9 @@ def parts(error: Array) -> tuple[float, float]:
     return float(np.linalg.norm(error - place, axis=1).mean()), float(np.linalg.norm(place))
 
 
+# -- the covariance beside the machine file ------------------------------------------------------
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("which", MACHINES)
 def test_what_is_stated_is_what_is_achieved(which: str) -> None:
@@ -71,34 +74,6 @@ def test_what_is_stated_is_what_is_achieved(which: str) -> None:
     assert compensated.place > 0.3e-3
     assert compensated.shape < 0.2 * expected_error(machine, {}).shape
 
-
-def test_compensate_states_shape_and_place_apart() -> None:
-    rig, machine = rig_of("tilted"), verdict_of("tilted").machine
-    angle = np.linspace(0, 2 * np.pi, 30)
-    goal = np.stack([0.04 * np.cos(angle), 0.035 * np.sin(angle), 0.02 * np.sin(angle)], 1)
-    plan = compensate(machine, goal)
-    apart = rig.pose(plan.rho, plan.approach).p - goal
-    achieved = np.linalg.norm(apart - apart.mean(axis=0), axis=1).mean()
-    assert achieved < 2 * plan.shape.mean() < 20 * achieved
-    assert plan.place > 0.2e-3
-    assert "uncertainty of that translation: 0.3" in str(plan)
-    assert not plan.independent
-
-
-def test_the_result_states_them_by_what_the_controller_is_given() -> None:
-    verdict = verdict_of("tilted")
-    stated = json.loads(result_text(verdict))["tool"]
-    assert list(stated) == ["now", "zeros", "zeros_and_lengths", "numbers", "compensated"]
-    for entry in stated.values():
-        assert list(entry) == ["shape_mm", "shape_sigma_mm", "place_mm", "place_sigma_mm"]
-    shapes = [entry["shape_mm"] for entry in stated.values()]
-    assert shapes[0] > 5 * shapes[1]
-    assert shapes[1] > 2 * shapes[4]
-    compensated = expected_error(verdict.machine, verdict.machine.values)
-    assert shapes[4] == pytest.approx(compensated.shape * 1e3, rel=1e-5)
-
-
-# -- the covariance beside the machine file ------------------------------------------------------
 
 NAMES = ("joint_offset.x", "axis_offset.y.x", "axis_tilt.y.z")
 ROOT = np.array([[1e-3, 0, 0], [0.9e-3, 1e-5, 0], [0, 1e-4, 1e-4]])
@@ -166,7 +141,7 @@ def test_a_covariance_of_another_machine_is_refused(tmp_path: Path) -> None:
 
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:
     """No reading tells that height, and no zero may pay for shape with it."""
-    from orthoglide.accuracy import best_zeros, workspace_grid
+    from orthoglide.accuracy import best_zeros
     from tests.test_layout import DELTA
 
     worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(
@@ -193,3 +168,27 @@ def test_zeros_of_parallel_slides_take_what_is_wrong_with_zeros() -> None:
     assert expected_error(worn, zeros).shape < 2e-5
     apart = zeros["joint_offset.a"] - zeros["joint_offset.b"]
     assert apart == pytest.approx(1.8e-3, abs=1e-5)
+
+
+# -- the error budget ------------------------------------------------------------------------------
+
+
+@pytest.mark.thorough
+def test_a_cause_gains_what_was_said() -> None:
+    record = gains.run((1, "two-gauges", 1), 1)
+    (item,) = [i for i in record["items"] if i["named"]]
+    for how in ("repaired", "compensated"):
+        gain, sigma = item["said"][how]
+        assert gain == pytest.approx(item[how], rel=0.1)
+        assert abs(gain - item[how]) <= 1.96 * sigma + gains.LEAST
+    assert "| repaired | causes named | 1 |" in gains.tables([record])[0].markdown()
+
+
+def test_the_best_zeros_and_lengths_leave_nothing_of_zeros_and_lengths() -> None:
+    worn = machine().with_parameters({"joint_offset.x": 2e-3, "bar_mismatch.z": 2e-3})
+    controller = _Controller.of(worn)
+    plain = {"joint_offset.x": 4e-3, "joint_offset.y": -3e-3, "leg_length.z": 2e-4}
+    assert np.abs(controller.residual_of(plain)).max() < 1e-6  # of millimetres
+    left = np.linalg.norm(controller.residual_of(dict(worn.values)).reshape(-1, 3), axis=1).mean()
+    other = gains.Tool().error(gains.Rig(errors=dict(worn.values)))
+    assert 1e3 * left == pytest.approx(other, rel=1e-3)

@@ -131,14 +131,6 @@ def test_nothing_is_found_where_only_small_errors_are() -> None:
     assert (record["word"], record["effects"], record["blunders"]) == ("adequate", [], [])
 
 
-def test_cases_are_drawn_from_seed_and_key_alone() -> None:
-    case = Case("effect", "backlash", "standard", 8.0, 0)
-    one, again, other = draw(case, 1), draw(case, 1), draw(case, 2)
-    assert one.rows == again.rows
-    assert one.rows != other.rows
-    assert one.rig.errors == again.rig.errors
-
-
 def test_small_table_is_part_of_a_large_one() -> None:
     small, full = ({c.key for c in cases(n)} for n in (60, sum(SHARES.values())))
     assert small < full

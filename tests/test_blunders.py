@@ -22,9 +22,7 @@ from orthoglide.explanation.data_faults import (
     without_faults,
 )
 from orthoglide.explanation.faults import Fault, setups_of
-from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.identifying import identify
-from orthoglide.explanation.ranked_readings import likeliest_misreading
 from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
@@ -319,17 +317,6 @@ def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
 
 
-@pytest.mark.thorough
-def test_several_faults(machine):
-    rows = rc.outlier(rows_of(seed=5), 30, 0.3).rows
-    rows = rc.knocked_stand(rows, "zx-0.5", 0.2).rows
-    rows = rc.swapped_sign(rows, "yz-0.5").rows
-    found = {b.kind: b for b in found_in(rows, machine)}
-    assert set(found) == {"outlier", "knocked_stand", "sign"}
-    assert found["outlier"].rows_in_request == ((0, 30),)
-    assert found["sign"].setups == ("yz-0.5",)
-
-
 def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
     searched, search = [], ranked_readings.posterior_at_base_fit
     monkeypatch.setattr(
@@ -338,21 +325,6 @@ def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
     (found,) = found_in(rc.wrong_unit(rows_of("standard", seed=2), "yz-0.5").rows, machine)
     assert found.kind == "unit"
     assert len(searched) == 1  # five were, of which four came far behind by one factorisation
-
-
-def test_labels_that_cannot_beat_another_explanation_are_not_compared(machine, monkeypatch):
-    fit = estimate_of(rc.wrong_label(rows_of(seed=2), "yz-0.5", "leg").rows, machine)
-    posterior, rows = posterior_at_base_fit(fit), setups_to_reinterpret(fit.problem, [])
-    compared = list[object]()
-    monkeypatch.setattr(
-        ranked_readings, "_relabelled_log_likelihoods", lambda *a: compared.append(a) or -np.inf
-    )
-    labels = [f for f in alternative_readings(fit.problem, rows) if f.relabels]
-    likeliest_misreading(fit, posterior, labels, rows)
-    assert compared
-    compared.clear()
-    assert likeliest_misreading(fit, posterior, labels, rows, posterior.evidence + 1e6) is None
-    assert not compared
 
 
 def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):
@@ -438,32 +410,6 @@ def test_an_error_under_a_misread_dial_is_located(seed, machine):
     assert [fault.kind for fault in verdict.blunders] == ["sign"]
     assert [found.name for found in verdict.located] == ["rail.y.x/travel"]
     assert len(verdict.readings.measured) == len(rows)
-
-
-def test_a_knocked_setup_becomes_two(machine):
-    rows, touched = rc.knocked_stand(rows_of("standard", seed=2), "yz-0.5", 0.5)
-    estimate = estimate_of(rows, machine)
-    clean = without_faults(estimate.problem, find_data_faults(estimate).faults)
-    (campaign,) = clean.campaigns
-    assert (len(campaign), len(campaign.setups)) == (len(rows), 7)
-    assert [k for k, s in enumerate(campaign.setup) if s == 6] == touched
-    assert campaign.setups[6].leg == campaign.setups[campaign.setup[touched[0] - 2]].leg
-    again = solve(clean, method="nested")
-    untouched = estimate_of(rows_of("standard", seed=2), machine)
-    assert again.scores.rms < 1.1 * untouched.scores.rms
-    np.testing.assert_allclose(again.x, untouched.x, atol=3 * np.sqrt(untouched.covariance[0, 0]))
-
-
-def test_rows_are_counted_within_their_campaign(machine):
-    first = campaign_of(rows_of("standard", seed=1), machine, "first")
-    second = campaign_of(rc.outlier(rows_of("standard", seed=2), 11, 0.5).rows, machine, "second")
-    estimate = identify([first, second], machine, method="nested")
-    found = find_data_faults(estimate)
-    (blunder,) = reported(estimate, found)
-    assert blunder.rows_in_request == ((1, 11),)
-    assert blunder.message.startswith("second, line 13,")
-    clean = without_faults(estimate.problem, found.faults)
-    assert [len(c) for c in clean.campaigns] == [54, 53]
 
 
 def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine):

@@ -7,8 +7,6 @@ import io
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -20,10 +18,8 @@ from click.testing import CliRunner, Result
 
 import orthoglide as og
 from orthoglide.cli import cli
-from orthoglide.errors import CrossCheckError
 from orthoglide.explanation.identifying import identify
 from orthoglide.machine_file import MachineFile, machine_text
-from orthoglide.observations import campaign_text, protocol
 
 EXPERIMENT_2 = (files("orthoglide") / "data" / "experiment2.csv").read_text()
 EXPERIMENT_3 = (files("orthoglide") / "data" / "experiment3.csv").read_text()
@@ -193,55 +189,6 @@ def test_a_sound_machine_is_told_that_nothing_is_advised(here: Path) -> None:
     assert "No correction is advised" not in said
 
 
-def test_results_are_never_overwritten(here: Path) -> None:
-    (here / "full").mkdir()
-    (here / "full" / "thesis.tex").write_text("dear")
-    (here / "file").write_text("dear")
-    before = tree(here)
-    places = {
-        "full": "name a new or empty folder",
-        "file": "name a new folder",
-        "no/where": "make that first",
-        ".": "name a new one inside it",
-    }
-    for place, words in places.items():
-        result = run("identify", "experiment2.csv", "--out", place)
-        assert result.exit_code == 2
-        assert words in result.stderr
-    for command in (("protocol",), ("simulate", "--machine", planted_machine(here))):
-        result = run(*command, "--out", "file")
-        assert result.exit_code == 2
-        assert "exists and is not overwritten" in result.stderr
-    (here / "planted.toml").unlink()
-    assert tree(here) == before
-    (here / "out").mkdir()
-    done(*a_folder(here))  # an empty folder is filled
-    assert (here / "out" / "controller.txt").exists()
-
-
-def test_failed_numerics_exit_with_3(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def disagree(*_: object, **__: object) -> None:
-        raise CrossCheckError("the mechanism and the reduction disagree", difference=1.0)
-
-    monkeypatch.setattr("orthoglide.closing.loop.identify", disagree)
-    result = run("identify", "experiment2.csv", "--out", "out")
-    assert (result.exit_code, result.stdout) == (3, "")
-    assert result.stderr == "orthoglide: the mechanism and the reduction disagree\n"
-    assert os.listdir(here) == ["experiment2.csv"]
-
-
-def test_interrupted_while_writing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    command = a_folder(here)
-    monkeypatch.setattr(Path, "rename", interrupt)
-    result = run(*command)
-    assert result.exit_code == 130
-    assert result.stderr.splitlines()[-1].startswith("orthoglide: interrupted: nothing")
-    assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
-
-
 @pytest.mark.parametrize("made", ["mkdir", "open"])
 def test_interrupted_the_moment_something_stands(
     here: Path, monkeypatch: pytest.MonkeyPatch, made: str
@@ -272,21 +219,6 @@ def test_a_disk_that_fails(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.exit_code == 2
     assert "out: cannot be written (no space left on device)" in result.stderr
     assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
-
-
-def test_a_disk_that_is_full(here: Path) -> None:
-    code = (
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048)); "
-        "from orthoglide.__main__ import main; main()"
-    )
-    child = subprocess.run(
-        [sys.executable, "-B", "-c", code, "protocol", "--out", "sheet.csv"],
-        env=NEVER, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert child.returncode == 2
-    assert child.stderr.startswith("orthoglide: sheet.csv: cannot be written (")
-    assert child.stderr.count("\n") == 1
-    assert os.listdir(here) == ["experiment2.csv"]
 
 
 @pytest.mark.parametrize(
@@ -328,25 +260,6 @@ def test_json_is_the_file_and_a_calibrated_machine_is_a_machine(here: Path) -> N
 
 
 # --- Sheets, simulated campaigns and kinematics ---------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["standard", "sweep", "two-gauges"])
-def test_a_sheet_to_fill_in(kind: str, here: Path) -> None:
-    done("protocol", "--out", "sheet.csv", "--kind", kind)
-    assert (here / "sheet.csv").read_text() == campaign_text(protocol(kind))  # type: ignore[arg-type]
-    result = run("identify", "sheet.csv", "--out", "out")
-    assert result.exit_code == 2
-    assert "fill in reading_mm" in result.stderr
-
-
-def test_a_simulated_machine_is_found_again(here: Path) -> None:
-    planted_machine(here)
-    done("simulate", "--machine", "planted.toml", "--exact", "--out", "exact.csv")
-    result = json.loads(done("identify", "exact.csv", "--no-priors", "--out", "out", "--json"))
-    for parameter, value in result["parameters"].items():
-        truth = PLANTED.get(parameter, 0.0) * 1e3
-        assert value["value"] == pytest.approx(truth, abs=1e-6), parameter
-    assert result["after"]["max_mm"] < 1e-8
 
 
 def test_errors_that_change_no_reading_are_said(here: Path) -> None:
@@ -414,12 +327,6 @@ def test_simulate_writes_both_files_or_none(here: Path) -> None:
     assert sorted(os.listdir(here)) == ["experiment2.csv", "planted.toml"]
 
 
-def test_a_design_is_no_larger_than_what_it_chooses_from(here: Path) -> None:
-    result = run("design", "--count", "100000")
-    assert result.exit_code == 2
-    assert "ask for 2 readings" in result.stderr
-
-
 def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     options = ("--detect", "--count", "6")
     monkeypatch.setenv("COLUMNS", "80")
@@ -428,15 +335,6 @@ def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.Mo
     assert " is most like " in " ".join(" ".join(whole).split())
     monkeypatch.setenv("COLUMNS", "60")
     assert max(map(len, done("design", *options).splitlines())) <= 60
-
-
-def test_forward_and_inverse_agree(here: Path) -> None:
-    assert done("forward", "310.25", "310.25", "310.25") == "0.000000 0.000000 0.000000\n"
-    assert done("inverse", "0", "0", "0") == "310.250000 310.250000 310.250000\n"
-    machine = ("--machine", planted_machine(here))
-    rho = done("inverse", "-20.5", "3", "-1e1", *machine).split()
-    assert done("forward", *rho, *machine) == "-20.500000 3.000000 -10.000000\n"
-    assert done("forward", *rho) != "-20.500000 3.000000 -10.000000\n"
 
 
 def test_forward_and_inverse_on_a_csv(here: Path) -> None:

@@ -22,7 +22,6 @@ import orthoglide as og
 from orthoglide.cli.app import progress
 from orthoglide.cli.calibrating import differences
 from orthoglide.progress import Step
-from orthoglide.report.sentences import MEANINGS
 from tests.test_cli import EXPERIMENT_2, EXPERIMENT_3, NEVER, done, run, tree
 
 RIG = Path(__file__).parent / "data" / "rig"
@@ -80,53 +79,6 @@ def test_demo_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert result["command"] == "demo"
     assert [one["file"] for one in result["inputs"]] == ["experiment2.csv", "experiment3.csv"]
     assert 0.05 < result["possible"][0]["probability"] < 0.5
-
-
-# --- close-loop and diagnose ----------------------------------------------------------------
-
-
-@pytest.mark.thorough
-def test_diagnose_writes_nothing_and_ranks_the_causes(rig: Path) -> None:
-    before = tree(rig)
-    shown = flat(done("diagnose", "rig-2.csv", "--machine", "machine.toml"))
-    assert tree(rig) == before
-    assert "The path of the y carriage is out of square toward z" in shown
-    assert "Verdict explained" in shown
-    table = shown[
-        shown.index("share of this finding cause") : shown.index("being active considered")
-    ]
-    assert re.search(r"1\.00 The path of the y carriage .*\. or the y rail leans", table)
-    ranked = shown[shown.index("being active considered") :]
-    assert "the path of the y carriage is out of square" in ranked
-    assert not re.search(r"axis_tilt|rail_tilt|/travel", shown)  # names are for programs
-    assert "Report:" not in shown
-    result = json.loads(done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--json"))
-    assert tree(rig) == before
-    assert result["command"] == "diagnose"
-    (line,) = done("diagnose", "rig-2.csv", "--machine", "machine.toml", "--quiet").splitlines()
-    assert line == f"Verdict {result['verdict']}: {MEANINGS[result['verdict']]}."
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--holdout", "none.csv"), "none.csv: there is no such file"),
-        (("--tcp", "none.csv"), "none.csv: there is no such file"),
-        (("--tcp", "experiment3.csv"), "experiment3.csv"),
-        (("--own", "backlsh"), "there is no effect 'backlsh'"),
-        (("--own", "joint_ofset"), "joint_ofset"),
-    ],
-)
-def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path) -> None:
-    before = tree(here)
-    for command in (("close-loop", "--out", "out"), ("diagnose",)):
-        result = run(command[0], "experiment2.csv", *command[1:], *arguments)
-        assert result.exit_code == 2, result.output
-        assert words in result.stderr
-        assert result.stderr.startswith("orthoglide: ")
-        assert result.stderr.count("\n") == 1
-        assert result.stdout == ""
-    assert tree(here) == before
 
 
 # --- In the middle --------------------------------------------------------------------------
@@ -229,14 +181,6 @@ def test_rerun_gives_the_same_numbers_and_files(ran: Path) -> None:
     assert "The same numbers again" in shown
     assert tree(ran / "out") == tree(ran / "again")
     assert set(tree(ran / "out")) >= FILES | {"figures/workspace.svg"}
-
-
-def test_rerun_needs_no_files(identified: Path) -> None:
-    for name in ("rig-2.csv", "machine.toml"):
-        (identified / name).unlink()
-    before = tree(identified)
-    assert "The same numbers again" in done("rerun", "out/result.json")
-    assert tree(identified) == before
 
 
 def change(path: Path, edit: Any) -> None:

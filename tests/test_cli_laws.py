@@ -204,15 +204,6 @@ def test_nothing_is_written_without_out(name: str, here: Path) -> None:
     assert tree(here) == before
 
 
-@pytest.mark.parametrize("name", ["identify", "design"])
-def test_quiet_prints_the_same_line_beside_files(name: str, here: Path) -> None:
-    alone = run(*words(name, "--quiet"))
-    beside = run(*words(name, "--quiet", "--out", "new"))
-    assert beside.exit_code == 0, beside.output
-    assert beside.stdout == alone.stdout
-    assert (here / "new").exists()
-
-
 @pytest.mark.parametrize("name", [n for n in with_option("--machine") if n.split()[0] != "import"])
 def test_a_machine_file_is_given_by_itself_or_with_its_option(name: str) -> None:
     rest = [w for w in words(name)[1:] if w not in MACHINE]
@@ -224,14 +215,6 @@ def test_a_machine_file_is_given_by_itself_or_with_its_option(name: str) -> None
     result = run(name, *rest, "m.toml", "--machine", "n.toml")
     assert result.exit_code == 2
     assert "give one machine file" in result.stderr
-
-
-def test_a_machine_by_itself_counts(here: Path) -> None:
-    asked = ("forward", "310", "310", "310")
-    by_itself = run(*asked, "planted.toml").stdout
-    assert by_itself == run(*asked, *MACHINE).stdout != run(*asked).stdout
-    for given in (("planted.toml", "--", *asked[1:]), ("--", *asked[1:], "planted.toml")):
-        assert run("forward", *given).stdout == by_itself  # numbers behind -- may be negative
 
 
 def test_a_word_that_is_no_machine_file_is_named(here: Path) -> None:

@@ -52,12 +52,6 @@ def from_larger_travel(rig: Rig, leg: str) -> float:
     return float((carriage(rig, leg, 10, -1.0) - carriage(rig, leg, 10, 1.0)) @ axis(leg))
 
 
-def span_of_a_turn(rig: Rig, leg: str) -> float:
-    at = np.arange(9) * 20 / 8
-    errors = [float(carriage(rig, leg, t) @ axis(leg)) - t for t in at]
-    return float(np.ptp(errors))
-
-
 def wider_at_the_platform(rig: Rig, leg: str) -> float:
     one, other = bars(rig, leg, 0)
     return float(np.linalg.norm(one[1] - other[1]) - np.linalg.norm(one[0] - other[0]))
@@ -124,13 +118,3 @@ def test_the_confirming_test_shows_what_its_words_expect(name: Parameter, sign: 
     shown = measure(rig, leg, *across)
     assert np.sign(expected) == np.sign(shown), (words, shown)
     assert expected == pytest.approx(shown, rel=0.15), words
-
-
-def test_the_span_of_a_screw_is_that_of_its_steps() -> None:
-    rig = Rig(errors=BASE | {"screw_error.y.sin": 0.06e-3, "screw_error.y.cos": -0.05e-3})
-    effect = CATALOGUE.effect_of("screw_error.y")
-    parameter = next(p for p in effect.parameters() if p.leg == "y")
-    words = confirm_words(effect, parameter, float(np.hypot(0.06e-3, 0.05e-3)))
-    found = re.search(r"to span ([\d.]+) mm", words)
-    assert found
-    assert float(found[1]) == pytest.approx(span_of_a_turn(rig, "y"), rel=0.1)

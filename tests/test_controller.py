@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -30,14 +29,14 @@ from orthoglide.control import (
     read_path,
 )
 from orthoglide.effects import CATALOGUE
-from orthoglide.errors import FileError, InputError
+from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import Tree, general_tree
 from orthoglide.prediction import Conditions
-from orthoglide.urdf import closures, read_looped_urdf, to_urdf
+from orthoglide.urdf import closures, read_looped_urdf
 from tests.rig import Array, Rig
 
 PITCH = 0.02
@@ -93,15 +92,6 @@ def test_compensated_commands_bring_the_independent_machine_to_the_points() -> N
     assert plan.error_before == pytest.approx(before, abs=5e-9)
 
 
-def test_conditions_count() -> None:
-    goal, rig = circle(12), Rig(errors=everything(), screw_pitch=PITCH)
-    time, warming = np.linspace(0, 3000, 12), np.linspace(0, 8, 12)
-    plan = compensate(machine(everything()), goal, time=time, warming=warming)
-    after = misses(rig.pose(plan.rho, plan.approach, time, warming).p, goal)
-    assert after.max() < 2e-8
-    assert misses(rig.pose(plan.rho, plan.approach).p, goal).max() > 1e-6
-
-
 def test_lost_motion_follows_the_order_of_the_path() -> None:
     worn = machine({"backlash.x": 1e-4})
     there, back = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0, 0, 0]]), (0, 2)
@@ -116,14 +106,6 @@ def test_lost_motion_follows_the_order_of_the_path() -> None:
     assert (
         misses(Rig(errors={"backlash.x": 1e-4}).pose(plan.rho, plan.approach).p, tiny).max() < 5e-9
     )
-
-
-def test_where_the_path_starts_from_decides_the_first_approach() -> None:
-    worn, goal = machine({"backlash.x": 1e-4}), np.zeros((1, 3))
-    assert compensate(worn, goal).approach[0, 0] == 1
-    from_outside = compensate(worn, goal, start=[0.03, 0, 0])
-    assert from_outside.approach[0, 0] == -1
-    assert len(from_outside) == 1
 
 
 @pytest.mark.parametrize("step", [2e-3, 2e-5])
@@ -141,18 +123,6 @@ def test_a_drive_that_creeps_turns_all_the_same(step: float) -> None:
         assert way[2] == plan.approach[k, 2] or abs(moved[2]) < 1e-8
     assert misses(Rig(errors=lost).pose(plan.rho, plan.approach).p, line).max() < 1e-8
     assert {-1.0, 1.0} == set(plan.approach[:, 2])
-
-
-def test_commands_in_the_controllers_counting() -> None:
-    controller = Controller(zero=(0.5, -0.02, 0.1), sign=(-1, 1, -1))
-    odd = machine(everything(), controller=controller)
-    plan = compensate(odd, circle(8), resolution=1e-5)
-    assert np.abs(plan.travel * 1e5 - np.round(plan.travel * 1e5)).max() < 1e-6
-    assert np.abs(controller.to_rho(plan.travel, odd.geometry) - plan.rho).max() == 0
-    shown = [0.5 - (plan.rho[:, 0] - L), -0.02 + (plan.rho[:, 1] - L), 0.1 - (plan.rho[:, 2] - L)]
-    assert np.abs(np.transpose(shown) - plan.travel).max() < 1e-14
-    assert 1e-7 < plan.residual.max() < 2e-5
-    assert np.array_equal(plan.predicted, odd.forward(plan.rho, approach=plan.approach))
 
 
 @pytest.mark.parametrize(
@@ -175,14 +145,6 @@ def test_points_out_of_reach_name_their_row(
     assert caught.value.index == (2,)
     assert "row 3" in str(caught.value)
     assert caught.value.leg == leg or not leg
-
-
-def test_the_first_row_out_of_reach_is_named_and_not_the_farthest() -> None:
-    path = np.zeros((9, 3))
-    path[4], path[7] = (0.0, 0.25, 0.25), (0.0, 0.3, 0.3)
-    with pytest.raises(UnreachableError, match=r"^row 5 of the path") as caught:
-        compensate(Machine.nominal(), path)
-    assert (caught.value.index, caught.value.leg) == ((4,), "x")
 
 
 @pytest.mark.parametrize("path", [np.zeros((0, 3)), np.zeros(3), np.zeros((2, 2))])
@@ -451,11 +413,6 @@ def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_pa
 
 # -- URDF ---------------------------------------------------------------------------------------
 
-RIGID = {
-    "joint_offset.x": 1.1e-3, "joint_offset.y": -0.7e-3, "leg_length.y": 8e-5,
-    "leg_length.z": -5e-5, "axis_offset.x.y": 3e-4, "axis_offset.z.x": -2e-4,
-    "axis_tilt.y.z": 1e-3, "axis_tilt.y.x": -2e-3, "axis_tilt.x.z": 1.5e-3,
-}  # fmt: skip
 COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
 
 
@@ -479,31 +436,6 @@ def closed_tcp(tree: Tree, travel: Array) -> Array:
     assert np.abs(constraints.residual(q)).max() < 1e-11
     pin.framesForwardKinematics(tree.model, constraints.data, q)
     return np.array(constraints.data.oMf[tree.model.getFrameId(tree.tool)].translation)
-
-
-def slopes(values: dict[str, float]) -> Array:
-    """Slope of each carriage's path."""
-    found = np.zeros(3)
-    for name, value in values.items():
-        if name.partition(".")[0] in ("axis_tilt", "rail_tilt"):
-            found[LEGS.index(name.split(".")[1])] += value**2
-    return np.sqrt(found)
-
-
-def test_rigid_legs_close_on_the_machines_own_tcp() -> None:
-    tree = tree_of(calibrated_urdf(machine(RIGID)), general=False)
-    expected = machine(RIGID).forward(COMMANDS_RHO)
-    longer = np.sqrt(1 + slopes(RIGID) ** 2)
-    for rho, p in zip(COMMANDS_RHO, expected, strict=True):
-        # URDF's axis is a unit vector: along it the path is longer than its own-axis share.
-        assert np.abs(closed_tcp(tree, (rho - L) * longer) - p).max() < 1e-9
-        remainder = np.abs(rho - L) @ slopes(RIGID) ** 2
-        left = np.abs(closed_tcp(tree, rho - L) - p).max()
-        assert left < 2 * remainder
-        assert (
-            np.abs(closed_tcp(tree_of(to_urdf(Geometry()), general=False), rho - L) - p).max()
-            > 5e-4
-        )
 
 
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
@@ -539,23 +471,6 @@ OTHERS = {
 }
 
 
-def test_carriages_of_a_delta_keep_their_lean_where_they_turn() -> None:
-    delta = OTHERS["linear delta"]
-    spec = replace(Machine.nominal().spec, geometry=delta)
-    turned = Machine(spec).with_parameters({"mount_tilt.a.b": 1e-3, "mount_tilt.c.a": -2e-3})
-    tree = tree_of(calibrated_urdf(turned), general=True, geometry=delta)
-    for travel in (np.zeros(3), np.array([0.02, 0.05, 0.03])):
-        assert np.abs(closed_tcp(tree, travel) - turned.forward(travel)).max() < 1e-9
-
-
-def test_nothing_identified_is_the_nominal_urdf() -> None:
-    own, nominal = (
-        ET.canonicalize(text, strip_text=True)
-        for text in (calibrated_urdf(Machine.nominal()), to_urdf(Geometry()))
-    )
-    assert own == nominal
-
-
 def test_the_comment_says_what_is_left_out() -> None:
     named = replace(machine({"backlash.x": 1e-5, "bar_mismatch.y": 1e-5}).spec, name="A--b")
     text = calibrated_urdf(Machine(named))
@@ -581,34 +496,6 @@ def write_path(path: Path, points: Array) -> Path:
     return path
 
 
-def test_the_command_writes_commands_that_reach_the_points(tmp_path: Path) -> None:
-    values = {"joint_offset.x": 1e-3, "backlash.y": 3e-5}
-    calibrated = machine({}, controller=COUNTING).with_parameters(values, {"joint_offset.x": 1e-5})
-    calibrated.save(tmp_path / "m.toml")
-    path, out = write_path(tmp_path / "path.csv", circle(9)), tmp_path / "commands.csv"
-    arguments = ("compensate", str(path), "--machine", str(tmp_path / "m.toml"), "--out", str(out))
-    code, text = invoke(*arguments)
-    assert code == 0, text
-    assert "not covered" in text
-    rows = list(csv.DictReader(io.StringIO(out.read_text())))
-    goal = read_path(path).p
-
-    def column(*names: str) -> Array:
-        return np.array([[float(row[n]) for n in names] for row in rows]) * 1e-3
-
-    rho = column(*(f"rho_{leg}_mm" for leg in LEGS))
-    way = column(*(f"approach_{leg}" for leg in LEGS)) * 1e3
-    assert misses(Rig(errors=values).pose(rho, way).p, goal).max() < 5e-9
-    travel = column(*(f"travel_{leg}_mm" for leg in LEGS))
-    assert np.abs(COUNTING.to_rho(travel, Geometry()) - rho).max() < 1e-12
-    assert column("p_x_mm", "p_y_mm", "p_z_mm") == pytest.approx(goal, abs=1e-12)
-    assert 5e-6 < column("expected_mm").max() < 2e-5
-    assert column("uncompensated_mm").min() > 0.5e-3
-    again = invoke(*arguments)
-    assert again[0] == 2
-    assert out.read_text().count("\n") == 10
-
-
 def test_a_point_out_of_reach_names_file_and_line(tmp_path: Path) -> None:
     Machine.nominal().save(tmp_path / "m.toml")
     path = write_path(tmp_path / "path.csv", np.array([[0, 0, 0], [0.3, 0, 0]]))
@@ -626,28 +513,6 @@ def test_a_path_in_metres_is_doubted(tmp_path: Path) -> None:
     for scale, told in ((1.0, 0), (1e-3, 1)):
         path = write_path(tmp_path / f"path{told}.csv", circle_mm * scale * 1e-3)
         assert sum("are they metres?" in str(note) for note in read_path(path).warnings) == told
-
-
-def test_a_path_without_its_columns_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm\n1,2\n")
-    with pytest.raises(FileError, match="p_z_mm"):
-        read_path(tmp_path / "path.csv")
-
-
-def test_export_writes_numbers_and_urdf(tmp_path: Path) -> None:
-    machine(RIGID).save(tmp_path / "m.toml")
-    out = tmp_path / "out"
-    code, text = invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))
-    assert code == 0, text
-    assert {p.name for p in out.iterdir()} == {
-        "controller.txt", "controller.json", "orthoglide.urdf", "orthoglide.closures.toml",
-        "robot.urdf", "robot.yaml", "orthoglide.xml",
-    }  # fmt: skip
-    numbers = json.loads((out / "controller.json").read_text())
-    drive = controller_numbers(machine(RIGID)).drives[0]
-    assert numbers["drives"]["x"]["add_to_command_mm"] == pytest.approx(-drive.offset * 1e3)
-    assert (out / "orthoglide.urdf").read_text() == calibrated_urdf(machine(RIGID))
-    assert invoke("export", "--machine", str(tmp_path / "m.toml"), "--out", str(out))[0] == 2
 
 
 def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:

@@ -105,24 +105,6 @@ def test_every_effect_is_marked_on_its_part_with_direction_and_size(
     assert mark.label in html.unescape(text)
 
 
-def test_what_is_the_same_on_all_legs_is_labelled_once() -> None:
-    marks = option(machine("orthoglide"), "", {"backlash.common": 5e-5}).marks
-    assert [m.leg for m in marks] == [0, 1, 2]
-    assert [m.label for m in marks] == ["each 0.05 mm", "", ""]
-
-
-def test_a_dial_stands_where_it_touches_and_points_the_way_it_counts() -> None:
-    posture = posed("orthoglide")
-    sheet = og.protocol("sweep")
-    turned = replace(sheet, setups=(replace(sheet.setups[0], sign=-1, bar=2), *sheet.setups[1:]))
-    one, other = (dials(posture, [c])[0] for c in (turned, sheet))
-    setup = sheet.setups[0]
-    assert other.at[setup.leg] == pytest.approx(setup.gauge + posture.geometry.r)
-    assert one.at[2] == pytest.approx(other.at[2] - posture.geometry.d / 2)  # bar 2, under bar 1
-    assert one.way[setup.axis] == -1.0
-    assert other.way[setup.axis] == 1.0
-
-
 @pytest.mark.parametrize("kind", ["orthoglide", "delta", "free"])
 def test_the_drawing_says_what_it_shows_and_keeps_on_its_paper(kind: str) -> None:
     own, base = machine(kind), machine(kind).catalogue["axis_tilt"].motions

@@ -19,16 +19,9 @@ from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.custom import load_effects
 from orthoglide.effects.dials import dial_free_forms
 from orthoglide.effects.motions import Constant, sideways
-from orthoglide.effects.wording import (
-    cause_short,
-    cause_words,
-    confirm_words,
-    parameter_words,
-    value_words,
-)
+from orthoglide.effects.wording import cause_words, confirm_words, value_words
 from orthoglide.errors import InputError
 from orthoglide.parameters import Parameter
-from orthoglide.prediction import Conditions, Model
 from orthoglide.result import Explanation
 from orthoglide.units import MM
 
@@ -70,15 +63,6 @@ def machine() -> og.Machine:
     return rough.with_effects([CARRIAGE_PLAY, SECOND_HARMONIC])
 
 
-def test_conditions_are_read_off_the_basis() -> None:
-    assert CARRIAGE_PLAY.needs == {"approach"}
-    assert SECOND_HARMONIC.needs == {"pitch"}
-    assert CATALOGUE["thermal_growth"].needs == {"temperature"}
-    assert CATALOGUE["drive_compliance"].needs == {"load"}
-    assert CATALOGUE["gauge_drift"].needs == {"time"}
-    assert not CATALOGUE["axis_tilt"].needs
-
-
 def test_an_effect_by_approach_shows_in_the_readings(machine: og.Machine) -> None:
     """It moved the TCP and changed no reading, as equal conditions were merged by a name."""
     name, value = "carriage_play.x.b", 1e-4
@@ -88,34 +72,6 @@ def test_an_effect_by_approach_shows_in_the_readings(machine: og.Machine) -> Non
     assert np.abs(shown[touched]).max() > 0.2 * value
     linear = machine.model.linearised({}, campaign, [name]).jacobian[:, 0] * value
     np.testing.assert_allclose(shown, linear, atol=1e-8)
-
-
-@pytest.mark.parametrize("name", ["carriage_play.x.b", "encoder_second.y.sin"])
-def test_the_contract_holds_for_ones_own(machine: og.Machine, name: str) -> None:
-    model = Model(machine.geometry, 0.02, catalogue=machine.catalogue, compile=False)
-    campaign = sheet(machine)
-    step = 1e-5
-    assert np.array_equal(model.readings({name: 0.0}, campaign), model.readings({}, campaign))
-    high, low = (model.readings({name: v}, campaign) for v in (step, -step))
-    slope = model.linearised({}, campaign, [name]).jacobian[:, 0]
-    np.testing.assert_allclose((high - low) / (2 * step), slope, atol=1e-7)
-    assert np.abs(slope).max() > 1e-3
-    conditions = Conditions.from_readings(campaign)
-    _, by_name = model.sensitivities({}, conditions, [name])
-    ends = [model.outputs({name: v}, conditions).p for v in (step, -step)]
-    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), by_name[:, :3, 0], atol=1e-7)
-
-
-def test_words_are_made_where_none_are_given(machine: og.Machine) -> None:
-    catalogue = machine.catalogue
-    said = cause_words(catalogue, "carriage_play.x.b", {"carriage_play.x.b": -1.5e-4})
-    assert "carriage has play" in said
-    assert "−0.15 mm" in said
-    assert "leg x" in cause_short(catalogue, "carriage_play.x.b")
-    pair = {"encoder_second.y.sin": 3e-5, "encoder_second.y.cos": 4e-5}
-    assert "0.05 mm" in cause_words(catalogue, "encoder_second.y", pair)
-    test = confirm_words(CARRIAGE_PLAY, catalogue.parameter("carriage_play.x.b"), 1e-4)
-    assert "0.1 mm" in test
 
 
 def test_words_are_texts_with_blanks_or_functions() -> None:
@@ -253,16 +209,6 @@ def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path
     assert again.exit_code == 0, again.output
 
 
-def test_every_command_that_takes_a_machine_takes_effects_of_ones_own() -> None:
-    takes = {
-        name: {option for parameter in command.params for option in parameter.opts}
-        for name, command in cli.commands.items()
-    }
-    of_machine = {name for name, options in takes.items() if {"--machine", "machine"} & options}
-    assert len(of_machine) == 15
-    assert {name for name in of_machine if "--effects-file" not in takes[name]} == set()
-
-
 OWN_FILE = str(PACKAGE.parent / "examples" / "carriage_play.py")
 
 
@@ -300,9 +246,3 @@ def test_a_place_in_a_dial_of_any_name_is_an_effect() -> None:
         for place in dial_free_forms(setup, 0, (0.0, 60.0), (0.0, 1e-3), True):
             assert place.effect.name.isidentifier()
             assert setup in place.words
-
-
-def test_a_direction_of_ones_own_effect_is_no_turn() -> None:
-    words = parameter_words(Parameter("carriage_play", "y", "b"))
-    assert words == "carriage play of leg y b"
-    assert parameter_words(Parameter("mount_tilt", "y", "b")).endswith("about its pivots")

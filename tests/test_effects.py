@@ -6,7 +6,6 @@ independent machine of ``rig.py`` does.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from typing import get_args
 
@@ -227,15 +226,6 @@ def test_derivatives_equal_central_differences(name: str, about: str) -> None:
             assert error <= 1e-6 * scale + floor
 
 
-def test_all_derivatives_at_once_are_those_one_by_one() -> None:
-    seen, names = campaign(), list(CATALOGUE.parameters + DIAL_PARAMETERS)
-    shuffled = [names[k] for k in np.random.default_rng(3).permutation(len(names))]
-    together = model().linearised(background(), seen, shuffled).jacobian
-    for k in range(0, len(shuffled), 7):
-        alone = model().linearised(background(), seen, [shuffled[k]]).jacobian[:, 0]
-        assert np.abs(together[:, k] - alone).max() <= 1e-14 * np.abs(alone).max()
-
-
 # -- labels ------------------------------------------------------------------------------------
 
 
@@ -283,17 +273,6 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
     assert np.abs(pose.p - reduction.forward(campaign().command)).max() > 1e-3
 
 
-@pytest.mark.parametrize("leg", LEGS)
-def test_what_the_rail_does_follows_the_true_travel(leg: str) -> None:
-    toward = LEGS[(LEGS.index(leg) + 1) % 3]
-    for family in ("axis_tilt", "rail_tilt", "rail_bow"):
-        rail = {f"{family}.{leg}.{toward}": 10 * tolerance(family)}
-        moved, seen = {**rail, f"joint_offset.{leg}": 5e-3}, campaign()
-        shifted = seen.command + 5e-3 * np.eye(3)[LEGS.index(leg)]
-        one, other = outputs(moved, seen), outputs(rail, replace(seen, command=shifted))
-        assert np.abs(one - other).max() < 1e-13
-
-
 # -- structured members ------------------------------------------------------------------------
 
 MEMBERS = [
@@ -320,45 +299,6 @@ def test_structured_members_sum_to_their_parts(family: str, member: str) -> None
         lambda h: model().readings({n: h * w for n, w in weights.items()}, campaign()), value / 2
     )
     assert np.abs(slopes - four).max() <= 1e-6 * np.abs(four).max() + 2e-13 / value
-
-
-def test_structured_members_are_the_symmetries_they_are_called() -> None:
-    for family in ("axis_offset", "axis_tilt", "rail_tilt", "rail_bow"):
-        members = CATALOGUE.structured_members(family)
-        assert len(members) == 8
-        assert len(members[f"{family}.common"]) == 6
-        cyclic = members[f"{family}.cyclic"]
-        assert {n: -w for n, w in cyclic.items() if w < 0} == {
-            f"{family}.{k}": 1.0 for k in ("y.x", "z.y", "x.z")
-        }
-        for weights in (members[f"{family}.common"], cyclic):
-            assert {relabelled(n): w for n, w in weights.items()} == weights
-        for pair in ("xy", "yz", "zx"):
-            one, other = f"{family}.{pair[0]}.{pair[1]}", f"{family}.{pair[1]}.{pair[0]}"
-            assert members[f"{family}.{pair}.symmetric"] == {one: 1.0, other: 1.0}
-            assert members[f"{family}.{pair}.antisymmetric"] == {one: 1.0, other: -1.0}
-    assert set(CATALOGUE.structured_members("mount_tilt")) == {
-        "mount_tilt.a.common",
-        "mount_tilt.b.common",
-    }
-    assert CATALOGUE.structured_members("joint_offset") == {
-        "joint_offset.common": {f"joint_offset.{leg}": 1.0 for leg in LEGS}
-    }
-
-
-def test_a_dials_common_member_is_all_its_setups() -> None:
-    names = [setup.name for setup in SETUPS]
-    weights = CATALOGUE.structured_members("gauge_scale", names)["gauge_scale.common"]
-    assert weights == {f"gauge_scale.{name}": 1.0 for name in names}
-    shown = model().readings(dict.fromkeys(weights, 0.01), campaign())
-    assert np.abs(shown - 1.01 * model().readings({}, campaign())).max() < 1e-15
-
-
-def test_common_axis_offsets_and_joint_offset_are_one_translation() -> None:
-    seen, value = campaign(), 1e-3
-    values = {"joint_offset.y": value, "axis_offset.x.y": value, "axis_offset.z.y": value}
-    shift = outputs(values, seen)[:, TCP] - outputs({}, seen)[:, TCP]
-    assert np.abs(shift - [0.0, value, 0.0]).max() < 1e-13
 
 
 def test_without_a_pitch_the_screw_has_no_error() -> None:

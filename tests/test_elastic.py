@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions, Model
-from orthoglide.prediction.load import BARS, STRETCHES, joint_forces, tensions_tangent
+from orthoglide.prediction.load import BARS, joint_forces, tensions_tangent
 from tests.engines import commands
 from tests.rig import Rig, parameter_names
 from tests.test_six_bars import WIDE, postures
@@ -76,15 +75,6 @@ def test_the_platform_rests_and_each_bar_is_longer_by_its_pull(bar: float) -> No
     moves = own.model.displacements(ERRORS, conditions).reshape(-1, 3, len(VIRTUAL_NAMES))
     at_rest = own.geometry.L + moves[..., [VIRTUAL_NAMES.index(f"stretch{k}") for k in (1, 2)]]
     assert np.abs(length - at_rest - pulls / bar).max() < 1e-14
-
-
-def test_a_load_hangs_as_far_as_its_work_stretches_the_bars() -> None:
-    """Clapeyron: of a machine without errors W u / 2 is the energy in the bars, to first order."""
-    sound = Machine(MachineFile(stiffness=Stiffness(bar=BAR)))
-    sunk = (sound.forward(RHO) - sound.forward(RHO, load=LOAD))[:, 2]
-    energy = (sound.bar_tensions(RHO, load=LOAD) ** 2).sum(axis=(1, 2)) / (2 * BAR)
-    assert (sunk > 1e-6).all()
-    np.testing.assert_allclose(LOAD * sunk / 2, energy, rtol=2e-3)
 
 
 def test_rigid_bars_and_drives_carry_the_load_by_virtual_work() -> None:
@@ -154,51 +144,6 @@ def test_jacobian_and_inverse_are_those_of_the_loaded_machine(geometry: Geometry
     assert np.abs(own.inverse(p) - rho).max() > 1e-6
 
 
-# -- the machine and its file ----------------------------------------------------------------
-
-
-def test_a_machine_takes_its_stiffness_from_its_file(tmp_path: Path) -> None:
-    path = tmp_path / "machine.toml"
-    machine().save(path)
-    again = Machine.load(path)
-    np.testing.assert_allclose(again.forward(RHO, load=LOAD), machine().forward(RHO, load=LOAD))
-    assert again.spec.warnings == ()
-
-
-def test_torsional_stiffness_is_read_kept_and_said_to_be_without_effect(tmp_path: Path) -> None:
-    spec, path = MachineFile(stiffness=Stiffness(torsion=1e4, bar=BAR)), tmp_path / "machine.toml"
-    Machine(spec).save(path)
-    again = Machine.load(path).spec
-    assert again.stiffness == spec.stiffness
-    (warning,) = again.warnings
-    assert "torsion_Nmm_per_rad is no longer modelled" in warning
-    assert "this file has 1e+07" in warning
-    plain = Machine(MachineFile(stiffness=Stiffness(bar=BAR))).with_parameters(ERRORS)
-    limp = Machine(again).with_parameters(ERRORS)
-    assert np.array_equal(limp.forward(RHO, load=LOAD), plain.forward(RHO, load=LOAD))
-
-
-def test_stiffness_is_used_where_it_matters() -> None:
-    bars = machine().model
-    assert bars.is_elastic(Conditions.from_commands(RHO, load=LOAD))
-    assert not bars.is_elastic(Conditions.from_commands(RHO))
-    assert not machine(None).model.is_elastic(Conditions.from_commands(RHO, load=LOAD))
-    # Loaded and unloaded postures in one batch are what each is alone.
-    load = np.where(np.arange(6) % 2, LOAD, 0.0)
-    mixed = machine().forward(RHO, load=load)
-    np.testing.assert_allclose(mixed[::2], machine().forward(RHO[::2]), rtol=0, atol=1e-15)
-    alone = machine().forward(RHO[1::2], load=LOAD)
-    np.testing.assert_allclose(mixed[1::2], alone, rtol=0, atol=1e-15)
-
-
-def test_tensions_have_the_shape_of_the_commands() -> None:
-    found = machine().bar_tensions(RHO.reshape(2, 3, 3), load=LOAD)
-    assert found.shape == (2, 3, 3, 2)
-    np.testing.assert_array_equal(found.reshape(6, 3, 2), machine().bar_tensions(RHO, load=LOAD))
-    assert np.array_equal(machine().bar_tensions(RHO), np.zeros((6, 3, 2)))
-    assert [STRETCHES[0], STRETCHES[-1]] == [6, 27]
-
-
 # -- where it must refuse --------------------------------------------------------------------
 
 
@@ -208,15 +153,6 @@ def test_no_equilibrium_says_which_posture(load: float) -> None:
     with pytest.raises(ClosureError) as caught:
         machine(1e4).forward(RHO, load=loads)
     assert caught.value.index == (3,)
-
-
-def test_legs_out_of_reach_say_which_posture() -> None:
-    rho = RHO.copy()
-    rho[2, 0] += 1.0
-    with pytest.raises(ClosureError, match=r"posture 3 of 6: the loops do not close") as caught:
-        machine().forward(rho, load=LOAD)
-    assert caught.value.index == (2,)
-    assert any("platform" in loop for loop in caught.value.residuals)
 
 
 @pytest.mark.parametrize("bar", [0.0, -1e7, np.nan, np.inf])

@@ -14,7 +14,7 @@ import pytest
 
 from orthoglide import files
 from orthoglide.errors import FileError
-from orthoglide.files import check_new, write_files
+from orthoglide.files import write_files
 from orthoglide.mechanism.compiled import compiler
 from orthoglide.report import folder, write_folder
 from tests.test_cli import EXPERIMENT_2, run
@@ -118,17 +118,6 @@ def test_a_folder_that_another_process_wrote_meanwhile_stands(
     expected = "ours" if overwrite else "theirs"
     assert (here / "out" / "result.json").read_text() == expected
     assert sorted(os.listdir(here)) == ["c.csv", "out"]
-
-
-def test_a_link_to_nothing_stands(here: Path) -> None:
-    os.symlink("nowhere", "link")
-    with pytest.raises(FileError, match="exists and is not overwritten"):
-        check_new("link")
-    for command in (("protocol",), ("design", "--count", "6"), ("identify", "c.csv")):
-        result = run(*command, "--out", "link")
-        assert result.exit_code == 2, result.output
-    assert os.readlink("link") == "nowhere"
-    assert sorted(os.listdir(here)) == ["c.csv", "link"]
 
 
 # --- The cache of compiled functions ------------------------------------------------------------

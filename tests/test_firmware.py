@@ -66,12 +66,6 @@ def test_another_add_on_is_found_by_its_entry_point(monkeypatch: pytest.MonkeyPa
 # Files of other firmware --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["heightmap.csv", "g29.txt"])
-def test_a_list_that_is_given_to_the_other_command(name: str) -> None:
-    with pytest.raises(FileError, match=f"import plates {WORDS / name} --machine FILE --out DIR"):
-        import_printer(WORDS / name)
-
-
 def test_a_printer_s_file_is_sent_to_its_own_command() -> None:
     with pytest.raises(FileError, match=f"import klipper {DATA / 'electrocally.cfg'} --out DIR"):
         import_plates(DATA / "electrocally.cfg", MACHINE)

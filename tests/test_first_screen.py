@@ -26,7 +26,7 @@ from orthoglide.report.sections import budget
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Cause, Explanation, Suspect
 from orthoglide.verdict import Verdict
-from tests.test_report import closed_of, result_of, screen
+from tests.test_report import closed_of, screen
 from tests.tiers import in_turn
 
 DELTA = catalogue_of(LinearDelta.names)
@@ -257,13 +257,6 @@ def test_how_sure_it_is_counts_all_names_of_a_cause() -> None:
 
 
 # --- The tool, and what to do ---------------------------------------------------------------
-
-
-def test_identify_says_what_to_enter_and_what_to_run_next() -> None:
-    text = screen(result_of())
-    zero = closed_of().numbers.zeros_only[0] * 1e3
-    assert f"Enter new zeros in the controller: x {zero:.3f}" in text
-    assert "orthoglide close-loop takes the same files" in text
 
 
 @pytest.mark.parametrize(("name", "loses"), [("backlash.x", True), ("rail_bow.x.z", False)])

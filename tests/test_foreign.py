@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from orthoglide.errors import ClosureError, FileError, InputError
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.urdf import CLOSURES_FILE, write
-from tests.engines import commands, forward
 
 FOREIGN = Path(__file__).parent / "data" / "foreign"
 FOUR_BAR, DELTA = FOREIGN / "four_bar", FOREIGN / "rotary_delta"
@@ -160,17 +159,6 @@ def test_constraint_jacobian_is_a_central_difference_anywhere(folder: Path) -> N
         assert np.abs(constraints.jacobian(q) - numeric).max() < 1e-8
 
 
-# -- this package's own files by that door ---------------------------------------------------
-
-
-def test_this_machine_closes_as_any_other(tmp_path: Path) -> None:
-    write(tmp_path)
-    foreign, rho = Mechanism.from_urdf(tmp_path), commands(20, 3)
-    assert not foreign.has_legs
-    for travel, p in zip(rho - Geometry().zero, forward(rho), strict=True):
-        assert np.abs(foreign.close(travel).p - p).max() < 1e-12
-
-
 # -- what cannot be meant --------------------------------------------------------------------
 
 URDF, YAML = "robot.urdf", "robot.yaml"
@@ -203,14 +191,6 @@ def test_files_that_cannot_be_meant_are_named(
     assert caught.value.line == line
     assert re.search(rf"{file}(, line {line})?: ", str(caught.value))
     assert len(caught.value.reason) < 200
-
-
-@pytest.mark.parametrize("missing", [URDF, YAML])
-def test_missing_files_are_named(missing: str, tmp_path: Path) -> None:
-    folder = copied(FOUR_BAR, tmp_path)
-    (folder / missing).unlink()
-    with pytest.raises(FileError, match="no such file"):
-        Mechanism.from_urdf(folder)
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from benchmarks import fuzz, fuzz_verdicts
+from benchmarks import fuzz
 
 
 @pytest.mark.parametrize(
@@ -68,22 +65,6 @@ def test_every_broken_promise_is_seen(
 # --- What it found ------------------------------------------------------------------------------
 
 
-def spoilt_result(edit: Callable[[dict[str, Any]], object], folder: Path) -> tuple[str, int]:
-    """How a result ends that was edited by hand."""
-    result = json.loads(fuzz.originals()["result"])
-    edit(result)
-    content = json.dumps(result).encode()
-    return fuzz.run_case(fuzz.Case(0, {"r.json": content}, ("rerun", "r.json")), folder)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("npz", 0), ("npz", []), ("npz", ""), ("npz", "AAAA"), ("sha256", 3), ("toml", 1)],
-)
-def test_a_machine_in_a_result_that_is_none(key: str, value: object, tmp_path: Path) -> None:
-    assert spoilt_result(lambda r: r["machine"].update({key: value}), tmp_path) == ("", 2)
-
-
 @pytest.mark.parametrize("noise", ["0", "-0.0"])
 def test_a_zero_has_no_sign(noise: str, tmp_path: Path) -> None:
     """No generator draws with a standard deviation of -0: case 41278."""
@@ -92,30 +73,3 @@ def test_a_zero_has_no_sign(noise: str, tmp_path: Path) -> None:
     assert given in machine
     asked = ("simulate", "--machine", "m", "--out", "out", "--noise", noise)
     assert fuzz.run_case(fuzz.Case(0, {"m": machine}, asked), tmp_path) == ("", 0)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.9, 0.999])
-def test_a_truncated_result_is_none(share: float, tmp_path: Path) -> None:
-    whole = fuzz.originals()["result"].encode()
-    part = whole[: int(share * len(whole))]
-    case = fuzz.Case(0, {"r.json": part}, ("rerun", "r.json"))
-    assert fuzz.run_case(case, tmp_path) == ("", 2)
-
-
-def test_a_verdict_on_sound_readings_is_judged_true() -> None:
-    judged = fuzz_verdicts.judged(0)
-    assert judged.kind == "as read"
-    assert judged.moved < 1e-9
-    assert judged.off == 0.0
-    assert judged.word == "adequate"
-    assert not judged.false
-
-
-def test_a_moved_reading_is_judged_by_its_distance_from_the_fit() -> None:
-    """Readings magnified by less than two sigmas are left as they are, and are no false verdict."""
-    judged = fuzz_verdicts.judged(8)
-    assert judged.kind == "magnified"
-    assert judged.word == "adequate"
-    assert not judged.told
-    assert 1 < judged.off < 2
-    assert not judged.false

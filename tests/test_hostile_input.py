@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 
 import orthoglide as og
@@ -20,8 +19,6 @@ from orthoglide.control import export_files
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError
 from orthoglide.figures.axes import Panel
-from orthoglide.figures.draw import draw_levels
-from orthoglide.figures.style import Drawing
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior
 from orthoglide.observations import campaign_text, read_campaign
@@ -145,15 +142,6 @@ def test_names_of_setups_change_no_number(
         assert name in "".join(figure.itertext())
 
 
-@pytest.mark.parametrize("setup", ["a", "a@b", "common", '"', 'a"@"b', "@"])
-@pytest.mark.parametrize("campaign", ["", "april", "b@c"])
-def test_names_of_dial_parameters_are_read_as_they_were_meant(setup: str, campaign: str) -> None:
-    name = Parameter("gauge_scale", setup=setup, campaign=campaign)
-    for known in ((), (setup, "b")):
-        again = CATALOGUE.parameter(str(name), known)
-        assert (again.setup, again.campaign) == (setup, campaign)
-
-
 @pytest.mark.thorough
 def test_formulas_are_text_in_every_table(here: Path) -> None:
     names = ("=1+1", "@x", "+cmd|'!A0", "-2+3", "'=1", "plain")
@@ -178,19 +166,6 @@ def test_figures_on_one_page_do_not_clip_each_other() -> None:
         axes = Panel((0.0, 0.0, 200.0, height)).add_axes((0.0, 1.0), (0.0, 1.0))
         names |= set(re.findall(r'clipPath id="([^"]+)"', axes.svg()))
     assert len(names) == 2
-
-
-def test_figures_take_no_formulas() -> None:
-    names = ("$$", "$\\frac{$", "$x$")
-    panel = Panel((0.0, 0.0, 200.0, 100.0))
-    axes = panel.add_axes((0.0, 1.0), (0.0, 1.0))
-    for name in names:
-        axes.set_title(name)
-    drawing = Drawing("figure", "names", (200.0, 100.0), (panel.svg(),))
-    shown = "".join(ET.fromstring(drawing.svg).itertext())
-    assert all(name in shown for name in names)
-    levels = draw_levels("figure", "names", [("$$ <b>", np.zeros(1), "#000")], np.zeros((1, 3)), "")
-    assert "$$ <b>" in "".join(ET.fromstring(levels.svg).itertext())
 
 
 @pytest.mark.parametrize("name", ["a--b", "---", "----->", "]]>", "<b>&", "a-"])

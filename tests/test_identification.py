@@ -25,7 +25,7 @@ from orthoglide.fit.least_squares import Linearised, linearise, normal_equations
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, MachineFile
-from orthoglide.observations import Campaign, protocol, read_campaign
+from orthoglide.observations import Campaign, read_campaign
 from orthoglide.simulation import simulate as simulated
 from tests.factors import campaign_of, problem_of
 from tests.relabelling import legs_renamed, relabelled
@@ -136,52 +136,7 @@ def test_a_long_first_step_does_not_end_in_a_far_minimum() -> None:
         assert found.scores.rms < 1e-5
 
 
-# -- planted machines ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["nlp", "nested", "reduction"])
-def test_a_planted_machine_is_recovered(method: Any) -> None:
-    machine = Machine(EXACT)
-    campaign = predicted(machine, PLANTED, protocol("sweep"))
-    found = identify(campaign, machine, priors=False, method=method)
-    for name, truth in PLANTED.items():
-        # Rounding of the readings, 1e-17 m, is worth a little along the weak directions.
-        assert found.values[name] == pytest.approx(truth, abs=1e-12)
-    assert found.scores.rms < 1e-14
-    assert found.sigma_scale == 1.0
-    assert found.machine.values == pytest.approx(PLANTED, abs=1e-12)
-
-
-def test_planted_effects_are_recovered() -> None:
-    machine = Machine(EXACT)
-    planted = {
-        "joint_offset.x": 1e-3, "axis_tilt.y.z": 2e-3, "backlash.x": 4e-5,
-        "bar_mismatch.z": 2e-4, "gauge_drift.yx-0.5": 3e-8, "rail_bow.z.x": 5e-5,
-    }  # fmt: skip
-    campaign = predicted(machine, planted, protocol("sweep"))
-    found = identify(campaign, machine, tuple(planted), priors=False)
-    for name, truth in planted.items():
-        assert found.values[name] == pytest.approx(truth, abs=1e-9 * abs(truth) + 1e-13)
-    assert not any(name.startswith("gauge") for name in found.machine.values)
-
-
 # -- two ways of closing the loops ---------------------------------------------------------------
-
-EFFECTS = [
-    ("joint_offset", "leg_length", "bar_mismatch"),
-    ("joint_offset", "gauge_scale", "gauge_direction", "parallelogram_width"),
-]
-
-
-@pytest.mark.parametrize("free", EFFECTS, ids=lambda f: " ".join(f[1:]))
-def test_programme_and_nested_closure_agree(free: tuple[str, ...]) -> None:
-    errors = (("axis_tilt.y.z", 1e-3), ("backlash.x", 3e-5), ("bar_mismatch.z", 1e-4))
-    campaign = measured("standard", 1, errors)
-    found = identify(campaign, MACHINE, free, method="nlp")
-    agree(found, identify(campaign, MACHINE, free, method="nested"))
-    assert found.check is None
-    with pytest.raises(InputError, match="reduction"):
-        identify(campaign, MACHINE, free, method="reduction")
 
 
 @pytest.mark.parametrize("limit", ["NLP_POSTURES", "NLP_UNKNOWNS"])
@@ -276,16 +231,6 @@ def test_backlash_is_not_seen_from_one_side() -> None:
     sheet = replace(measured("standard"), approach=np.ones((54, 3)))
     with pytest.raises(UnidentifiableError, match=r"backlash\.x"):
         identify(sheet, MACHINE, ["joint_offset", "backlash"], priors=False)
-
-
-def test_fewer_readings_than_unknowns() -> None:
-    few = measured("standard once")
-    few = few.subset((few.leg == 0) & (few.setup == 0))
-    with pytest.raises(UnidentifiableError):
-        identify(few, MACHINE, priors=False)
-    found = identify(few, MACHINE)  # the priors answer for the rest, and that is said
-    assert any(not np.isfinite(weak.sigma) for weak in found.weak)
-    assert "nothing is seen" in " ".join(str(weak) for weak in found.weak)
 
 
 def test_weak_directions_in_words() -> None:

@@ -9,9 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from orthoglide.accuracy import workspace_grid
-from orthoglide.closing import build_result
 from orthoglide.effects import catalogue_of
-from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_words, parameter_words
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
@@ -28,11 +26,9 @@ from orthoglide.observations import campaign_rows, csv_text, read_tcp
 from orthoglide.parameters import Parameter
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate_tcp
-from orthoglide.verdict import Verdict
 from tests.engines import forward, mechanism
 from tests.relabelling import relabelled
 from tests.rig_delta import DeltaRig, parameter_names
-from tests.studied import studied
 
 RIG = DeltaRig()
 DELTA = Geometry(
@@ -119,16 +115,6 @@ def test_every_command_that_the_arms_reach_closes_below_the_carriages() -> None:
     assert np.abs(soft.forward(travel[:20], load=1e-6) - expected[:20]).max() < 1e-9
 
 
-def test_the_other_assembly_mode_is_the_mirror_image() -> None:
-    travel = np.array([[0.02, 0.05, 0.01]])
-    centres = np.stack(
-        [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
-         for k, leg in enumerate(DELTA.legs)], axis=1,
-    )  # fmt: skip
-    other = intersect_spheres(centres, DELTA.L, "other")
-    assert np.abs(mechanism(DELTA).close(travel[0], mode="other").p - other).max() < 1e-11
-
-
 def test_catalogue_and_rig_know_the_same_parameters() -> None:
     """Dials read on the legs of an Orthoglide only."""
     own = [name for name, effect in CATALOGUE.items() if effect.group not in ("dial", "part")]
@@ -170,18 +156,6 @@ def test_relabelled_towers_are_the_same_machine_turned(machine: Machine, name: P
     other = machine.with_parameters({turned: value}).forward(moved, **seen)[0]
     about = Rotation.from_euler("z", 120, degrees=True)
     assert np.abs(about.apply(one) - other).max() < 1e-12
-
-
-def test_compensated_commands_reach_the_points_on_the_independent_machine(machine: Machine) -> None:
-    rng = np.random.default_rng(1)
-    errors = {n: float(SIZE[CATALOGUE.effect_of(n).unit.name] * rng.standard_normal())
-              for n in NAMES}  # fmt: skip
-    p, seen = points(4, 5), conditions(4)
-    commands = machine.with_parameters(errors).inverse(p, **seen)
-    rig = DeltaRig(errors=errors, screw_pitch=PITCH)
-    for k, target in enumerate(p):
-        # Several turns at once differ by their order: second-order terms of milliradians.
-        assert np.abs(rig.pose(commands[k], target, **one_of(seen, k))[0] - target).max() < 1e-6
 
 
 def test_machine_files_keep_the_layout() -> None:
@@ -284,14 +258,6 @@ def test_machine_files_keep_free_legs() -> None:
             parse_machine_file(text.replace(old, new).replace("-140.0", "-100.0"))
 
 
-def test_places_of_legs_called_as_their_directions_have_names_of_their_own() -> None:
-    for names, about in (("abc", "aaa"), ("uvw", "uvw")):
-        found = [place.name for place in free_forms(None, freely(DELTA, names).layout.names)]
-        assert len(set(found)) == len(found)
-        turns = {f"carriage.{leg}.{axis}/travel" for leg, axis in zip(names, about, strict=True)}
-        assert turns < set(found)
-
-
 def test_free_legs_say_their_directions() -> None:
     catalogue = catalogue_of(freely(DELTA).layout.names)
     said = cause_words(catalogue, "axis_tilt.u.b", {"axis_tilt.u.b": 2e-3})
@@ -300,40 +266,6 @@ def test_free_legs_say_their_directions() -> None:
     assert "toward c" in parameter_words(catalogue.parameter("axis_offset.u.c"))
     with pytest.raises(InputError, match="across its slide"):
         FreeLeg("u", (0.3, 0, 0), (1, 0, 0), (1, 0, 1)).axes  # noqa: B018
-
-
-TALL = Geometry(0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
-"""One leg that goes alone through this stroke leaves the others behind."""
-SPREAD = Geometry(layout=FreeLegs(tuple(
-    FreeLeg(name, tuple(0.34125 * np.eye(3)[k]), tuple(np.eye(3)[k]), tuple(np.eye(3)[k - 1]))
-    for k, name in enumerate(("left", "mid", "right"))
-)))  # fmt: skip
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("geometry", [TALL, SPREAD], ids=["delta", "free"])
-def test_points_of_any_layout_are_simulated_judged_and_drawn(geometry: Geometry) -> None:
-    sound = Machine(MachineFile(geometry=geometry))
-    leg = geometry.leg_names[1]
-    tilt = f"axis_tilt.{leg}.{sound.catalogue.legs.across[1][0]}"
-    worn = sound.with_parameters({f"joint_offset.{leg}": 5e-4, tilt: 4e-3})
-    drawn = simulate_tcp(worn)
-    points = drawn.points()
-    assert len(points.p) == 60
-    assert geometry.in_stroke(points.command).all()
-    assert np.ptp(points.p, axis=0).min() > 0.05
-    assert list(drawn.to_frame())[:3] == [f"travel_{name}_mm" for name in geometry.leg_names]
-    noise = np.random.default_rng(0).normal(scale=1e-5, size=len(drawn))
-    closed = studied([drawn.with_readings(drawn.reading + noise)], sound)
-    verdict = build_result(closed, Verdict)
-    assert verdict.stands
-    for picture in (verdict._repr_html_(), verdict.plot("workspace").svg):
-        assert "<svg" in picture
-    space = verdict.workspace
-    assert space is not None
-    assert (
-        np.abs(space.at - sound.forward(workspace_grid(geometry))).max() < 1e-6
-    )  # six digits are kept
 
 
 def test_points_of_a_delta_are_written_and_read_by_its_controller_s_count(tmp_path: Path) -> None:

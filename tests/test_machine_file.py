@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from orthoglide.control import compensate, constant_geometry
-from orthoglide.effects import CATALOGUE, Effect, LegConditions, Motion, once
+from orthoglide.effects import CATALOGUE
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
-from orthoglide.machine import Machine
 from orthoglide.machine_file import (
     Controller,
     Dial,
@@ -28,7 +26,6 @@ from orthoglide.machine_file import (
     schema,
     write_machine_file,
 )
-from orthoglide.units import MM
 
 GOOD = """\
 schema = 1
@@ -320,23 +317,6 @@ def test_a_machine_survives_its_file(tmp_path_factory: pytest.TempPathFactory, m
     assert file.read_bytes() == first
 
 
-def test_a_parameter_keeps_to_its_line(tmp_path: Path) -> None:
-    machine = read_machine_file(write(tmp_path / "m.toml", GOOD))
-    write_machine_file(machine, tmp_path / "n.toml")
-    lines = (tmp_path / "n.toml").read_text().splitlines()
-    assert '"joint_offset.x" = { value = 0.25, sigma = 0.01, unit = "mm" }' in lines
-
-
-def test_machine_files_are_not_overwritten_unasked(tmp_path: Path) -> None:
-    file = write(tmp_path / "m.toml", GOOD)
-    with pytest.raises(FileError, match="not overwritten: choose another name"):
-        write_machine_file(MachineFile(), file)
-    assert file.read_text() == GOOD
-    write_machine_file(MachineFile(), file, overwrite=True)
-    assert read_machine_file(file) == MachineFile()
-    assert os.listdir(tmp_path) == ["m.toml"]
-
-
 @pytest.mark.parametrize(
     "machine",
     [
@@ -353,46 +333,3 @@ def test_what_could_not_be_read_back_is_not_written(machine: MachineFile, tmp_pa
     with pytest.raises(InputError):
         write_machine_file(machine, tmp_path / "m.toml")
     assert os.listdir(tmp_path) == []
-
-
-# --- The controller -------------------------------------------------------------------------
-
-
-def test_the_controller_counts_both_ways() -> None:
-    geometry = Geometry()
-    controller = Controller(zero=(0.0, 0.01, -0.02), sign=(1, -1, 1))
-    assert np.array_equal(controller.to_rho([0.0, 0.01, -0.02], geometry), geometry.zero)
-    moved = controller.to_rho([0.005, 0.015, -0.015], geometry) - geometry.L
-    np.testing.assert_allclose(moved, [0.005, -0.005, 0.005], atol=1e-16)
-    rho = geometry.L + np.random.default_rng(0).uniform(-0.1, 0.06, (4, 5, 3))
-    again = controller.to_rho(controller.from_rho(rho, geometry), geometry)
-    np.testing.assert_allclose(again, rho, atol=1e-15)
-
-
-# --- Effects of a user's own ----------------------------------------------------------------
-
-
-def _shifted(conditions: LegConditions) -> float:
-    return 1.0
-
-
-SHIFT = Effect(
-    "carriage_shift", MM, 0.1, "", "", "", members=once(Motion("lateral_b", _shifted))
-)  # fmt: skip
-
-
-def test_a_machine_file_may_name_effects_of_ones_own(tmp_path: Path) -> None:
-    text = GOOD.replace("axis_tilt = 2e-3", "carriage_shift = 0.2").replace(
-        "axis_tilt.y.z", "carriage_shift.y"
-    ).replace('-1e-3, sigma = 0, unit = "rad"', '-0.5, sigma = 0.1, unit = "mm"')  # fmt: skip
-    file = write(tmp_path / "m.toml", text)
-    with pytest.raises(FileError, match="no key 'carriage_shift'"):
-        read_machine_file(file)
-    spec = read_machine_file(file, CATALOGUE.with_effects([SHIFT]))
-    assert spec.tolerance["carriage_shift"] == pytest.approx(2e-4)
-    assert spec.parameters["carriage_shift.y"] == ParameterValue(-5e-4, 1e-4, "mm")
-    machine = Machine.load(file, [SHIFT])
-    machine.save(tmp_path / "again.toml")
-    assert Machine.load(tmp_path / "again.toml", [SHIFT]).values == machine.values
-    assert constant_geometry(machine)["carriage_shift.y"] == -5e-4
-    assert compensate(machine, [[0.0, 0.0, 0.01]]).residual.max() < 1e-8

@@ -26,7 +26,7 @@ from tests.engines import (
     mechanism,
     six_bars,
 )
-from tests.rig import _solve, rotation
+from tests.rig import rotation
 
 CORNERS = np.array(list(product(NOMINAL.stroke, repeat=3))) + NOMINAL.L
 TREES = pytest.mark.parametrize("general", [False, True], ids=["nominal", "general"])
@@ -64,11 +64,6 @@ def parts(rho: Array, moves: Array, geometry: Geometry = NOMINAL) -> tuple[Array
         b[:, leg, 1] = geometry.r * axes[0] - (half + width2[:, leg, None]) * axes[2]
     length = geometry.L + np.stack([stretch1, stretch2], axis=-1)
     return A.reshape(n, 6, 3), b.reshape(n, 6, 3), length.reshape(n, 6)
-
-
-def rigid_platform(rho: Array, moves: Array, geometry: Geometry = NOMINAL) -> tuple[Array, Array]:
-    """TCP and rotation of a rigid platform on those six bars."""
-    return _solve(*parts(rho, moves, geometry), rho - geometry.L)
 
 
 # -- against the reduction -------------------------------------------------------------------
@@ -151,16 +146,6 @@ def test_constraint_jacobian_equals_central_differences(
         assert np.abs(constraints.jacobian(q) - numeric).max() < 1e-7
 
 
-@pytest.mark.parametrize("displaced", [0.0, 3e-3], ids=["nominal", "displaced"])
-def test_newton_matrix_is_the_jacobian_where_the_loops_are_closed(displaced: float) -> None:
-    constraints = mechanism().constraints
-    for r, m in zip(commands(10, 8), displacements(10, 8, displaced), strict=True):
-        q = mechanism().close(r, m).q
-        exact = constraints.jacobian(q)
-        assert np.abs(constraints.residual(q)).max() < 1e-11
-        assert np.abs(constraints.newton_matrix() - exact).max() < 1e-9
-
-
 # -- mobility, rigid and relieved legs -------------------------------------------------------
 
 
@@ -211,32 +196,6 @@ def test_rigid_legs_refuse_parts_that_do_not_fit(moves: Array) -> None:
     relieved = mechanism().close(rho, moves)
     assert max(relieved.residual.values()) < 1e-11
     assert np.abs(relieved.q[mechanism().tree.relief]).max() > 1e-6
-
-
-# -- cold and warm starts --------------------------------------------------------------------
-
-
-def test_sixty_cold_starts_with_every_virtual_joint_displaced() -> None:
-    rho, moves = commands(60, 16), displacements(60, 16, 5e-3)
-    p, R = rigid_platform(rho, moves)
-    postures = [mechanism().close(r, m) for r, m in zip(rho, moves, strict=True)]
-    assert max(posture.iterations for posture in postures) <= 8
-    for posture, point, turn in zip(postures, p, R, strict=True):
-        assert max(posture.residual.values()) < 1e-11
-        assert np.abs(posture.p - point).max() < 1e-12
-        assert np.abs(posture.R - turn).max() < 1e-11
-
-
-def test_a_warm_start_gives_the_same_pose_in_fewer_steps() -> None:
-    rho, moves = commands(30, 17), displacements(30, 17)
-    for r, m in zip(rho, moves, strict=True):
-        near = mechanism().close(r + 2e-3, m)
-        before = near.q.copy()
-        cold, warm = mechanism().close(r, m), mechanism().close(r, m, guess=near)
-        assert np.array_equal(near.q, before)  # the guess stays as it was
-        assert np.abs(cold.p - warm.p).max() < 1e-13
-        assert warm.iterations <= cold.iterations
-    assert mechanism().close(r, m, guess=cold).iterations == 1
 
 
 # -- refusals --------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The noise of one reading, from every source there is."""
+"""The noise of one reading, from every source there is, down to a few repeats."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks.delta_readings import measured
 from orthoglide.errors import InputError
-from orthoglide.fit import Noise, noise_of
+from orthoglide.fit import Noise, assemble, noise_of, solve
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, RowNoise
 from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import instrument_sheet
-from orthoglide.result import Fit
+from tests.rig_delta import DeltaRig
 from tests.studied import studied
+from tests.test_checking import delta
 
 SPREAD = 3e-5
 EXACT = Dial(resolution=0.0)
@@ -53,43 +55,10 @@ def test_declared_noise_is_some_instruments(bad: float) -> None:
         by_dial([campaign()], EXACT, bad)
 
 
-def caution(estimate: og.Estimate | Fit) -> str:
-    """What is said of readings that scatter less than was declared."""
-    return " ".join(w for w in estimate.warnings if w.kind == "quiet")
-
-
-def test_noise_declared_about_right_is_not_doubted() -> None:
-    read = og.simulate(og.Machine.nominal(), "standard", noise=5e-6, seed=0)
-    for noise in (4e-6, 1e-5):
-        assert not caution(og.identify(read, noise=noise))
-
-
-def test_a_slow_drift_is_no_noise() -> None:
-    (still, _), (drifting, _) = (by_dial([campaign(drift=d)], EXACT) for d in (0.0, 5e-7))
-    assert drifting.typical == pytest.approx(still.typical, rel=0.1)
-    assert np.std(campaign(drift=5e-7).reading) > 1.02 * np.std(campaign().reading)
-
-
-def test_repeats_never_say_less_than_the_rounding() -> None:
-    silent = campaign().with_readings(np.zeros(len(campaign())))
-    noise, _ = by_dial([silent], Dial(resolution=1e-5))
-    assert noise.source == "repeats"
-    assert noise.typical == pytest.approx(1e-5 / np.sqrt(12))
-
-
 def test_without_repeats_the_published_figure() -> None:
     noise, _ = by_dial([unrepeated()], Dial(resolution=1e-5))
     assert noise.source == "machine"
     assert noise.typical == pytest.approx(np.sqrt(PUBLISHED_REPEATABILITY**2 + 1e-10 / 12))
-
-
-def test_too_few_repeats_do_not_count() -> None:
-    whole = campaign()
-    few = whole.subset((whole.repeat == 1) | ((whole.repeat == 2) & (whole.order < 34)))
-    variance, dof = repeat_variance([few])
-    assert np.isfinite(variance)
-    assert 0 < dof < 6
-    assert by_dial([few], EXACT)[0].source == "machine"
 
 
 def test_repeats_are_told_apart_by_approach() -> None:
@@ -258,3 +227,54 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
         assert "the machine file says 0.01: correct repeatability under [instrument.tcp]" in note
         said = float(note.partition("scatter by ")[2].partition(" mm")[0])
         assert said == pytest.approx(times * 1e-2, rel=0.2)
+
+
+# -- instruments whose noise is known from a few repeats -------------------------------------------
+
+
+UNTOLD = og.Machine(replace(delta().spec, instruments={}))
+"""Of which no instrument's noise is declared."""
+
+
+def tracked(seed: int, scale: float, **errors: float) -> Readings:
+    """A tracker's points, the first three read again, which differ by ``scale`` of its noise."""
+    rng = np.random.default_rng(seed)
+    once = measured(DeltaRig(errors=errors), rng, machine=delta(), instrument="tool coordinates")
+    n, again = len(once), np.arange(9)
+    both = once.subset(np.concatenate([np.arange(n), again]))
+    reading = both.reading.copy()
+    reading[n:] = reading[again] + scale * 1e-5 * np.sqrt(2) * np.array([1, -1, 1] * 3)
+    return replace(
+        both, reading=reading, order=np.arange(1, n + 10), line=np.arange(2, n + 11),
+        repeat=np.where(np.arange(n + 9) < n, 1, 2),
+    )  # fmt: skip
+
+
+def test_a_sound_machine_is_sound_by_noise_that_nine_differences_tell() -> None:
+    """Half the noise is one chance in fifty then, and what is left was held against it as if it
+    were known: *unexplained*.
+    """
+    read = tracked(1, 0.55, **{"joint_offset.a": 4e-4})
+    problem = assemble([read], UNTOLD, UNTOLD.catalogue.base)
+    assert problem.noise_dof == 6.0
+    verdict = studied(read, UNTOLD)
+    assert verdict.before.scores.chi2 > 1.8 * verdict.before.scores.dof
+    assert 0.003 < verdict.before.scores.lack_of_fit_p < 0.5
+    assert verdict.word == "adequate"
+
+
+def test_the_share_of_each_instrument_counts() -> None:
+    """Heights, whose noise is declared, beside a tracker of few repeats."""
+    rng = np.random.default_rng(2)
+    plate = measured(DeltaRig(), rng, machine=delta(), instrument="probe")
+    plate = replace(plate, name="plate", sigma=np.full(len(plate), 2e-5))
+    tool = tracked(2, 1.0)
+    base = UNTOLD.catalogue.base
+    alone, both = (
+        solve(assemble(list(read), UNTOLD, base)).problem for read in ([tool], [plate, tool])
+    )
+    assert alone.noise_dof == 6.0
+    share = len(tool) / (len(tool) + len(plate))
+    assert both.noise_dof == pytest.approx(alone.noise_dof / share**2)
+    none = replace(tool, sigma=np.full(len(tool), 1e-5))
+    assert assemble([none], UNTOLD, base).noise_dof == np.inf

@@ -14,13 +14,11 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import FileError, InputError
-from orthoglide.fit import assemble
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import noise_of
 from orthoglide.fit.solving import Method
 from orthoglide.instruments import (
     OBSERVATIONS,
-    TOOL_OBSERVATIONS,
     InstrumentPose,
     InstrumentPriors,
     Observation,
@@ -383,15 +381,6 @@ def test_an_instrument_is_declared_whole(kind: str) -> None:
     assert (known > 0).all()
 
 
-@pytest.mark.parametrize("kind", TOOL_OBSERVATIONS)
-def test_a_sheet_stays_within_its_circle(kind: str) -> None:
-    one, t = OBSERVATIONS[kind], np.arange(12) * np.pi / 6
-    points, others = one.sheet_points(np.stack([np.cos(t), np.sin(t), 0 * t], axis=1))
-    assert (others is not None) is one.paired
-    for places in (points, *([] if others is None else [others])):
-        assert np.linalg.norm(places, axis=1).max() == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_column_that_a_kind_needs_is_missed(kind: str) -> None:
     frame = filled(kind, "orthoglide").to_frame()
@@ -531,14 +520,6 @@ def test_noise_comes_from_the_first_that_says_it(kind: str, layout: str) -> None
     assert noise(once, bare, 9e-5) == pytest.approx(9e-5, rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", [k for k in KINDS if OBSERVATIONS[k].dials])
-def test_dials_on_legs_have_the_noise_of_as_many_dials(kind: str) -> None:
-    dial = replace(ORTHOGLIDE.spec.dial, resolution=0.0, repeatability=4e-6)
-    machine = replace(ORTHOGLIDE, spec=replace(ORTHOGLIDE.spec, dial=dial))
-    expected = 4e-6 * OBSERVATIONS[kind].dials ** 0.5
-    assert noise(filled(kind, "orthoglide", seed=1), machine) == pytest.approx(expected, rel=1e-9)
-
-
 @once
 def test_simulated_readings_scatter_as_they_are_said_to(kind: str, layout: str) -> None:
     """By the sheet's sigma, else the machine file's figure, else what is usual of the kind."""
@@ -570,21 +551,6 @@ def test_displays_round_once(kind: str, layout: str) -> None:
     means = og.simulate(said, sheet_of(kind, layout, repeats=60), seed=6, noise=0.0)
     assert np.abs(stations.mean(axis=1) - means.reading.reshape(-1, 60)[:, 0]).max() < 1.5 * step
     assert noise(shown, said) == pytest.approx(np.hypot(3e-5, step / np.sqrt(12)), rel=0.25)
-
-
-@once
-def test_a_result_says_the_noise_of_its_kind_and_where_it_is_from(kind: str, layout: str) -> None:
-    machine = MACHINES[layout]
-    said = replace(machine, spec=replace(machine.spec, instruments={kind: Instrument(0.0, 7e-5)}))
-    for readings, of, expected, where in (
-        (filled(kind, layout, said, seed=1), said, 7e-5, "machine"),
-        (with_sigma(filled(kind, layout, seed=1), 3e-5), said, 3e-5, "declared"),
-    ):
-        problem = assemble(readings, of, ["joint_offset"])
-        assert list(problem.noise_by_instrument) == [kind]
-        noise = problem.noise_by_instrument[kind]
-        size, source = noise.sigma, noise.source
-        assert (size, source) == (pytest.approx(expected, rel=1e-9), where)
 
 
 # -- the fit ---------------------------------------------------------------------------------------
@@ -659,16 +625,6 @@ def test_a_setup_of_fewer_readings_than_it_has_numbers_changes_no_other(
         assert (np.abs(both.x - alone.x) < 1e-3 * sigma).all()
         assert list(both.sigmas.values()) == pytest.approx(sigma, rel=1e-3)
         assert both.scores.dof == pytest.approx(alone.scores.dof, abs=0.05)
-
-
-@once
-def test_the_truth_is_found_within_its_sigmas(kind: str, layout: str) -> None:
-    machine, true = MACHINES[layout], zeros_of(layout, np.random.default_rng(100))
-    readings = og.simulate(machine.with_parameters(true), sheet_of(kind, layout), seed=0)
-    found = og.identify(readings, machine, ["joint_offset"])
-    for name, value in true.items():
-        assert abs(found.values[name] - value) < 4 * found.sigmas[name]
-    assert found.sigma_scale == 1.0
 
 
 @pytest.mark.thorough

@@ -21,21 +21,17 @@ import orthoglide as og
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import Controller, MachineFile, machine_text, parse_machine_file
-from orthoglide.notes import Note
 from orthoglide.observations import (
     Campaign,
     Moves,
-    campaign_rows,
     campaign_text,
     derive_approach,
     protocol,
     read_campaign,
     read_tcp,
-    readings_from_rows,
     write_campaign,
 )
 from orthoglide.observations.approach import built_up_lost_motion
-from orthoglide.prediction import Conditions
 from tests import rig_campaigns
 from tests.factors import same_readings
 
@@ -437,17 +433,6 @@ def test_moves_say_where_a_reading_was_reached_from(tmp_path: Path) -> None:
     assert np.array_equal(campaign.approach[2:], measured().approach[2:])
 
 
-def test_every_mounting_of_a_protocol_is_begun_from_a_known_side() -> None:
-    for kind in KINDS:
-        sheet = protocol(kind)  # type: ignore[arg-type]
-        assert len(sheet.moves) == len({(s.leg, s.gauge) for s in sheet.setups})
-        assert np.array_equal(sheet.derived_approach, sheet.approach)
-        for k in np.unique(sheet.setup):
-            first = np.flatnonzero(sheet.setup == k)[0]
-            before = sheet.moves.command[sheet.moves.order < sheet.order[first]][-1]
-            assert np.array_equal(np.sign(sheet.command[first] - before), sheet.approach[first])
-
-
 @pytest.mark.parametrize("half", [0.4, 0.5])  # mm
 def test_sheets_of_a_stage_that_hardly_moves_stay_within_its_stroke(
     half: float, tmp_path: Path
@@ -470,12 +455,6 @@ def test_sheets_of_a_stage_that_hardly_moves_stay_within_its_stroke(
             == protocol("sweep").moves.overshoot
         )
         assert not [note for note in found.warnings if note.kind == "command"]
-
-
-def test_a_reading_of_a_move_is_ignored_and_said(tmp_path: Path) -> None:
-    (note,) = read_campaign(with_moves(tmp_path, cell("reading_mm", "3.21", 21))).warnings
-    assert isinstance(note, Note)
-    assert (note.kind, note.lines) == ("reading", (21,))
 
 
 CONTROLLERS = [
@@ -506,41 +485,7 @@ def test_sheets_show_what_the_controller_shows(
     assert campaign_text(again, MachineFile()) == campaign_text(campaign)
 
 
-# --- Rows of text ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("campaign", [measured(moves=True), measured("sweep")], ids=["moves", ""])
-def test_rows_of_a_result_are_read_without_a_file(campaign: Campaign) -> None:
-    rows = campaign_rows(campaign)
-    again = readings_from_rows(rows, name=campaign.name, file="c.csv", sha256="abc")
-    assert isinstance(again, Campaign)
-    assert same_readings(again, campaign)
-    assert (again.file, again.sha256) == ("c.csv", "abc")
-    rows[7] = rows[7] | {"reading_mm": "far"}
-    lines = [10 * k for k in range(len(rows))]
-    with pytest.raises(FileError, match=r"c\.csv, line 70: reading_mm is 'far'"):
-        readings_from_rows(rows, name="c", file="c.csv", lines=lines)
-
-
 # --- The campaign itself --------------------------------------------------------------------
-
-
-def full_campaign() -> Campaign:
-    """Every optional column in use, with values that are no short decimals."""
-    rng = np.random.default_rng(3)
-    sweep = measured("sweep")
-    n = len(sweep)
-    setups = tuple(replace(s, sign=-1, bar=k % 3) for k, s in enumerate(sweep.setups))
-    return replace(
-        sweep,
-        setups=setups,
-        command=sweep.command + rng.uniform(-1e-7, 1e-7, (n, 3)),
-        approach=np.where(rng.random((n, 3)) < 0.1, 0, sweep.approach),
-        temperature=20 + rng.random(n),
-        load=np.where(rng.random(n) < 0.2, 0.0, rng.random(n)),
-        reading=rng.normal(scale=1e-3, size=n),
-        sigma=np.where(rng.random(n) < 0.1, np.nan, rng.random(n) * 1e-5),
-    )
 
 
 def test_files_are_not_overwritten_unasked_and_leave_nothing_behind(tmp_path: Path) -> None:
@@ -553,38 +498,6 @@ def test_files_are_not_overwritten_unasked_and_leave_nothing_behind(tmp_path: Pa
     assert os.listdir(tmp_path) == ["c.csv"]
     with pytest.raises(FileError, match="choose another place"):
         write_campaign(measured(), tmp_path / "none" / "c.csv")
-
-
-def test_an_interrupted_write_leaves_the_old_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = write(tmp_path / "c.csv", "mine")
-
-    def interrupted(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_campaign(measured(), file, overwrite=True)
-    assert file.read_text() == "mine"
-    assert os.listdir(tmp_path) == ["c.csv"]
-
-
-def test_subset_keeps_what_it_needs() -> None:
-    campaign = replace(full_campaign(), temperature=np.linspace(20, 21, 252))
-    mask = campaign.leg == 1
-    part = campaign.subset(mask)
-    assert [s.name for s in part.setups] == ["yx-0.5", "yz-0.5"]
-    assert same_readings(part, campaign.subset(np.flatnonzero(mask)))
-    assert np.array_equal(part.temperature_rise, campaign.temperature_rise[mask])
-    every = Conditions.from_readings(campaign)
-    for found, whole in zip(
-        vars(Conditions.from_readings(part)).values(), vars(every).values(), strict=True
-    ):
-        assert np.array_equal(found, whole[mask])
-    names = [[c.setups[k].name for k in c.setup] for c in (part, campaign)]
-    assert names[0] == [name for name, kept in zip(names[1], mask, strict=True) if kept]
-    assert len(campaign.subset([])) == 0
 
 
 def test_arrays_are_the_campaigns_own_and_cannot_be_changed() -> None:
@@ -631,25 +544,6 @@ def test_the_standard_protocol_is_the_chapters() -> None:
         expected = np.tile(geometry.command(name), (rows.sum(), 1))
         assert rows.sum() == (18 if name == "zero" else 6)
         np.testing.assert_allclose(sheet.command[rows], expected, atol=6e-10)
-
-
-@pytest.mark.parametrize("kind", ["sweep", "two-gauges"])
-def test_a_sweep_reaches_inner_postures_from_both_sides(kind: str) -> None:
-    sheet = protocol(kind)  # type: ignore[arg-type]
-    assert len(sheet) == 252 * len({round(s.gauge, 6) for s in sheet.setups})
-    own = sheet.approach[np.arange(len(sheet)), sheet.leg]
-    ends = ("+60", "-100")
-    for label in set(sheet.posture):
-        sides = set(own[np.array(sheet.posture) == label])
-        assert sides == ({1.0} if label == ends[0] else {-1.0} if label == ends[1] else {1.0, -1.0})
-
-
-def test_protocols_follow_the_geometry() -> None:
-    small = Geometry(L=0.2, d=0.05, r=0.02, stroke=(-0.04, 0.03))
-    sheet = protocol("two-gauges", small)
-    assert small.in_stroke(sheet.command).all()
-    assert {s.gauge for s in sheet.setups} == {0.07, 0.13}
-    assert set(sheet.posture) == {"+0", "+9.9", "+18.9", "+30", "-10.8", "-22", "-33.6", "-40"}
 
 
 def test_no_dial_is_set_where_its_leg_moves_past_it() -> None:

@@ -59,13 +59,6 @@ def test_the_sentence_names_all_three(bumpy: og.Verdict) -> None:
     assert "These readings cannot tell which." in text
 
 
-def test_the_mark_of_a_bump_points_as_the_sentence_says(bumpy: og.Verdict, tmp_path: Path) -> None:
-    bumpy.report(tmp_path / "out")
-    page = (tmp_path / "out" / "report.html").read_text()
-    assert "0.1 mm toward z" in page
-    assert "0.1 mm toward −z" not in page
-
-
 def test_the_posture_and_its_neighbours_are_read_again(bumpy: og.Verdict) -> None:
     assert bumpy.actions[0].kind == "measure"
     assert "the posture of line 19 and the nearest postures once more" in bumpy.actions[0].words

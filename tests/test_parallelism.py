@@ -154,28 +154,6 @@ def test_what_cannot_be_meant_is_refused(rows: str, told: str, tmp_path: Path) -
         read_campaign(tmp_path / "c.csv")
 
 
-def test_one_posture_of_a_setup_is_enough_and_no_dial_stands_still(tmp_path: Path) -> None:
-    (tmp_path / "c.csv").write_text(
-        f"{HEAD}parallelism,xz,x,z,{ZERO},90,220,-0.21\nparallelism,yz,y,-z,{ZERO},90,220,0.20\n"
-    )
-    campaign = read_campaign(tmp_path / "c.csv")
-    assert campaign.warnings == ()
-    assert campaign.setups[0].gauges == (0.09, 0.22)
-    found = og.identify(campaign, MACHINE, ["joint_offset.z"], priors=False)
-    assert found.values["joint_offset.z"] == pytest.approx(2.05e-4 * L / 0.13, rel=1e-3)
-    # Two differences against nothing, as there is no datum: what the offset leaves of them.
-    assert found.scores.deviation_rms == pytest.approx(5e-6, rel=0.01)
-    assert found.scores.dof == pytest.approx(1.0)
-
-
-def test_the_reduction_says_that_it_knows_single_dials_only() -> None:
-    readings = measured(protocol("parallelism"), OFFSETS)
-    with pytest.raises(
-        InputError, match=r"dials only, each by itself, from offsets and leg lengths"
-    ):
-        og.identify(readings, MACHINE, ["joint_offset"], method="reduction")
-
-
 def test_deviations_are_the_readings_themselves() -> None:
     """No posture is taken for exact where there is no datum: ordinary least squares."""
     rng = np.random.default_rng(5)

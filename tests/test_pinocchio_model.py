@@ -37,18 +37,6 @@ def jacobian(found: og.PinocchioModel, data: pin.Data) -> np.ndarray:
     )
 
 
-def test_the_reference_configuration_is_closed(own: tuple) -> None:
-    machine, found = own
-    data = found.model.createData()
-    rows = jacobian(found, data)
-    residuals = [d.extract().constraint_position_error for d in found.constraint_datas]
-    assert max(np.abs(r).max() for r in residuals) < 1e-12
-    assert rows.shape == (21, 24)
-    pin.framesForwardKinematics(found.model, data, found.q)
-    tool = data.oMf[found.tool].translation
-    assert np.abs(tool - machine.forward(machine.geometry.zero)).max() < 1e-12
-
-
 def test_the_constraint_jacobian_gives_the_velocity_of_the_tool(own: tuple) -> None:
     machine, found = own
     data = found.model.createData()

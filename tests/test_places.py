@@ -94,16 +94,6 @@ def test_a_plate_is_filled_in_by_the_height_of_its_touch(tmp_path: Path) -> None
     assert fit.scores.rms < 1e-6
 
 
-def test_a_touch_without_its_height_is_not_read_yet(tmp_path: Path) -> None:
-    rows = sheet("plate")
-    assert np.isnan(read(tmp_path / "open.csv", rows, done=False).reading).all()
-    with pytest.raises(
-        FileError,
-        match=r"line 2: has no .* reading_mm or the height of the touch",
-    ):
-        read(tmp_path / "again.csv", rows)
-
-
 def test_places_are_not_mixed_with_travel_and_are_within_reach(tmp_path: Path) -> None:
     row = next(row for row in sheet("tcp") if row["kind"] == "tcp")
     both = row | {f"travel_{leg}_mm": "0" for leg in "abc"}
@@ -127,17 +117,6 @@ def test_a_printer_is_sent_by_its_own_numbers(tmp_path: Path) -> None:
     zero = np.sqrt(np.round(arm.mean(), 6) ** 2 - 0.163**2)
     np.testing.assert_allclose(kinematics.travel(p)[0], heights - zero, rtol=0, atol=1e-12)
     np.testing.assert_allclose(kinematics.places(kinematics.travel(p)), p, rtol=0, atol=1e-12)
-
-
-def test_compensated_commands_say_where_to_send_the_tool() -> None:
-    off = MACHINE.with_parameters({"joint_offset.a": 1e-3}, {"joint_offset.a": 1e-5})
-    wanted = np.array([[0.0, 0.0, 0.0], [0.05, 0.02, 0.01]])
-    found = og.compensate(off, wanted)
-    columns = found.columns
-    for k, p in enumerate(wanted):
-        place = np.array([columns[name][k] for name in PLACE]) * 1e-3
-        assert np.linalg.norm(place - p) > 2e-4  # as the carriage of a stands higher
-        np.testing.assert_allclose(sent(place), found.travel[k], rtol=0, atol=2e-9)
 
 
 def test_the_command_says_how_to_fill_a_sheet_in(tmp_path: Path) -> None:

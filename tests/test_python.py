@@ -1,4 +1,4 @@
-"""The package as Python sees it: what is exported, travels between processes, and is shown."""
+"""The package as Python sees it: what is exported, travels, is shown, and runs on one thread."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import threadpoolctl
 
 import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result
 from orthoglide.control import commands_text
 from orthoglide.layout import LinearDelta
 from orthoglide.observations import campaign_text
+from orthoglide.threads import on_one_thread
 from tests.studied import studied
 from tests.test_cli import done
 
@@ -124,15 +126,6 @@ def test_what_is_shown_of_a_machine() -> None:
     assert repr(many).endswith("leg_length.x, leg_length.y, leg_length.z and 3 more>")
 
 
-def test_what_is_shown_of_an_estimate(estimate: og.Estimate) -> None:
-    rms = f"{estimate.scores.rms * 1e3:.4f} mm"
-    assert repr(estimate) == f"<Estimate of 6 parameters from 54 readings: residual rms {rms}>"
-    page = estimate._repr_html_()
-    assert page.startswith("<table><caption>Estimate of 6 parameters")
-    assert all(f"<td>{name}</td>" in page for name in estimate.names)
-    assert len(page) < 3000
-
-
 def test_the_frame_of_an_estimate(estimate: og.Estimate) -> None:
     frame = estimate.to_frame()
     assert list(frame.index) == list(estimate.names)
@@ -211,16 +204,6 @@ def test_an_estimate_travels(travel: Travel, estimate: og.Estimate) -> None:
     assert str(arrived) == str(estimate)
     assert np.array_equal(arrived.residuals, estimate.residuals)
     assert np.array_equal(arrived.machine.forward(RHO), estimate.machine.forward(RHO))
-
-
-@copied
-def test_a_verdict_travels(travel: Travel, verdict: og.Verdict) -> None:
-    arrived = travel(verdict)
-    assert arrived.word == verdict.word
-    assert arrived.values == verdict.values
-    assert [e.name for e in arrived.effects] == [e.name for e in verdict.effects]
-    assert arrived.machine.values == verdict.machine.values
-    assert np.array_equal(arrived.machine.forward(RHO), verdict.machine.forward(RHO))
 
 
 @pytest.mark.parametrize(
@@ -308,3 +291,27 @@ def test_what_is_shown_of_readings_to_take(estimate: og.Estimate) -> None:
         assert repr(one).startswith(f"<Suggestion, {len(one.chosen)} readings: ")
         assert len(repr(one)) < 400
         assert one._repr_html_().count("<tr>") in (len(one.rows) + 1, 22)
+
+
+# -- threads of the linear algebra -----------------------------------------------------------------
+
+
+def threads() -> list[int]:
+    found = threadpoolctl.threadpool_info()
+    return [one["num_threads"] for one in found if one["user_api"] == "blas"]
+
+
+def test_one_thread_within_and_the_callers_own_after() -> None:
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        given = threads()
+        assert on_one_thread(threads)() == [1] * len(given)
+        assert threads() == given
+
+
+def test_what_takes_long_runs_on_one_thread(monkeypatch) -> None:
+    seen: list[int] = []
+    campaign = og.simulate(og.Machine.nominal(), og.protocol("standard"), seed=1)
+    with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        og.close_loop([campaign], progress=lambda step: seen.extend(threads()))
+    assert seen
+    assert set(seen) == {1}

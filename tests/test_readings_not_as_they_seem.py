@@ -176,6 +176,67 @@ def test_copies_of_repeats_are_said() -> None:
     assert not [w for w in og.identify(whole, MACHINE).warnings if w.kind == "copies"]
 
 
+# -- points of the tool ----------------------------------------------------------------------------
+
+
+TRUTH = {
+    "joint_offset.x": 4e-4,
+    "joint_offset.y": -9e-4,
+    "leg_length.z": 6e-5,
+    "axis_tilt.z.x": 2e-3,
+}
+
+
+def measured(seed: int = 0) -> og.Readings:
+    rng = np.random.default_rng(seed)
+    rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
+    p = Rig(errors=TRUTH).pose(rho)[0] + rng.normal(0, 1e-6, (40, 3))
+    lines = np.arange(2, len(rho) + 2)
+    return og.Readings.from_points(rho, p, np.full(len(rho), 1e-6), np.zeros((len(rho), 3)), lines)
+
+
+def test_too_few_points_and_dials_are_refused() -> None:
+    points = measured()
+    few = points.subset(points.order < 2)
+    with pytest.raises(og.InputError, match="too few"):
+        og.identify(few, MACHINE)
+    with pytest.raises(og.InputError, match="nothing is free"):
+        og.identify(points, MACHINE, ["gauge_scale"])
+    with pytest.raises(og.UnidentifiableError, match="do not determine"):
+        og.identify(points, MACHINE, ["joint_offset", "axis_offset"], frame="rigid", priors=False)
+
+
+def test_points_that_judge_are_looked_at_as_well() -> None:
+    """In another unit or a left-handed frame they would condemn a machine that is right."""
+    dials, points = og.read_campaign(RIG / "rig-1.csv", MACHINE.spec), measured(30).points()
+    for wrong, said in ((points.p / 25.4, "in inches"), (points.p * [1, -1, 1], "left-handed")):
+        with pytest.raises(og.InputError, match=said):
+            og.close_loop([dials], MACHINE, tcp=og.Readings.from_points(points.command, wrong))
+
+
+def test_points_are_judged_by_what_they_are_known_to_themselves() -> None:
+    """Noise of 20 um in the points is no error of a machine that is known to 1 um."""
+    from orthoglide.closing.judging import points_contradiction, tcp_errors
+
+    worn, rng = MACHINE.with_parameters(TRUTH), np.random.default_rng(2)
+    rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))
+    p = worn.forward(rho) + rng.normal(0, 2e-5, (40, 3))
+    stated, lines = np.full((40, 3), 1e-6), np.arange(2, 42)
+
+    def judged(sigma: float, after: dict[str, float]) -> tuple[float, str]:
+        given = og.Readings.from_points(rho, p, np.full(40, sigma), np.zeros((40, 3)), lines)
+        errors = tcp_errors(MACHINE, given, {}, after, stated)["translation"]
+        return errors.inside, points_contradiction(errors, stated, given.points())
+
+    assert judged(np.nan, worn.values)[0] < 0.2
+    inside, said = judged(2e-5, worn.values)
+    assert inside == pytest.approx(0.95, abs=0.06)
+    assert not said
+    _, said = judged(2e-5, {})
+    assert said.startswith("the measured points fit this result neither with nor without what was")
+    assert not judged(np.nan, {})[1]  # nobody knows how well they are known
+
+
 @pytest.mark.thorough
 def test_the_training_file_as_holdout_is_said() -> None:
     renamed = replace(rig(), name="other", file="other.csv")

@@ -53,6 +53,9 @@ def test_machines_are_off_by_their_tolerances(scope: Scope) -> None:
         assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(share, rel=0.35), name
 
 
+# --- how it is scored -----------------------------------------------------------------------------
+
+
 def test_one_effect_stands_out(scope: Scope) -> None:
     for k in range(30):
         one = drawn(scope, EFFECT, k)
@@ -62,9 +65,6 @@ def test_one_effect_stands_out(scope: Scope) -> None:
         size = np.linalg.norm([v / one.machine.tolerance(n) for n, v in beyond.items()])
         assert 3 <= size <= 10
         assert size == pytest.approx(one.size)
-
-
-# --- how it is scored -----------------------------------------------------------------------------
 
 
 def verdict_of(*effects: tuple[str, ...], places: tuple[str, ...] = ()) -> Any:

@@ -9,7 +9,6 @@ import re
 import shutil
 import subprocess
 import tomllib
-from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,7 +16,6 @@ from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 
 import orthoglide as og
@@ -29,10 +27,8 @@ from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate
 from orthoglide.layout import LinearDelta
-from orthoglide.machine_file import Controller
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
-from orthoglide.observations import protocol
-from orthoglide.report import report_files, sections
+from orthoglide.report import report_files
 from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.page import finding, render_template
 from orthoglide.report.sentences import claim_text, headline
@@ -201,78 +197,7 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert text.count("The residuals are") == 0  # said once, at the top, in plain words
 
 
-# --- The numbers for the controller ---------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("zero", "sign"), [((0.0, 0.0, 0.0), (1, 1, 1)), ((0.01, -0.02, 0.3), (1, -1, -1))]
-)
-def test_the_sign_rule_brings_the_carriage_to_its_place(
-    zero: tuple[float, float, float], sign: tuple[int, int, int]
-) -> None:
-    """What the page tells to command is tried on the machine it was identified from."""
-    controller = Controller(zero, sign)  # type: ignore[arg-type]
-    spec = og.Machine.nominal().spec
-    machine = og.Machine(replace(spec, controller=controller))
-    offsets = {"joint_offset.x": 0.7e-3, "joint_offset.y": -0.3e-3, "joint_offset.z": 1.2e-3}
-    real = machine.with_parameters(offsets)
-    sheet = protocol("standard")
-    campaign = sheet.with_readings(real.readings(sheet))
-    result = identified(machine=machine, campaigns=[campaign], free=("joint_offset",), priors=False)
-    data = sections.controller(result)
-    said = [[getattr(d, name) for d in data["drives"]] for name in ("new_zero", "correction")]
-    command, add = np.round(said, 6)
-    geometry = machine.geometry
-    # Commanding the new zero brings the real TCP to the origin.
-    np.testing.assert_allclose(real.forward(controller.to_rho(command, geometry)), 0.0, atol=2e-6)
-    worked = result.numbers.drives[0].worked(result.numbers.names)
-    # Believing the old zero leaves each carriage its offset away, as the line says.
-    shown = controller.from_rho(geometry.zero, geometry)
-    line = f"at the old zero {shown[0] * 1e3:.3f} carriage x stands on average 0.700 mm too far out"
-    assert line in worked
-    assert not re.search("joint.offset", result.numbers.rule + worked)
-    # A controller to whose commands `add` was added means what it shows.
-    wanted = np.array([0.3, 0.31, 0.32])
-    display = controller.from_rho(wanted, geometry)
-    np.testing.assert_allclose(
-        real.forward(controller.to_rho(display + add, geometry)),
-        machine.forward(wanted),
-        atol=2e-6,
-    )
-    np.testing.assert_allclose(shown + add, command, atol=1e-12)
-
-
-def test_no_offsets_no_numbers_for_the_controller() -> None:
-    result = identified(DATA / "experiment2.csv", free=("leg_length",))
-    page = report_files(result)["report.html"]
-    assert "Numbers for the controller" not in page
-    assert "Numbers for the controller" in files_of()["report.html"]
-    # No cause was looked for: what was identified stands for itself.
-    assert "No numbers are given to enter" not in files_of()["report.html"]
-
-
 # --- result.json and its neighbours ---------------------------------------------------------
-
-
-def test_result_has_the_keys_of_the_contract_and_the_estimates_numbers() -> None:
-    estimate, result = published(), json.loads(files_of()["result.json"])
-    assert (result["schema"], result["command"]) == (2, "identify")
-    assert result["verdict"] == "unexplained"
-    assert result["before"] == result["after"]
-    for side, scores in (("nominal", estimate.nominal), ("after", estimate.scores)):
-        assert result[side]["chi2"] == pytest.approx(scores.chi2, rel=1e-9)
-        assert result[side]["deviation_rms_mm"] == pytest.approx(scores.deviation_rms * 1e3)
-        # Six datums, and three of the unknowns: lengths and offsets are told by the priors alone.
-        assert (
-            result[side]["dof"] == scores.dof == pytest.approx(12 - 3 * (side == "after"), abs=0.01)
-        )
-        assert result[side]["prior_chi2"] == pytest.approx(scores.prior_chi2)
-    for name, entry in result["parameters"].items():
-        assert entry["value"] == pytest.approx(estimate.values[name] * 1e3, rel=1e-9)
-        assert entry["sigma"] == pytest.approx(estimate.sigmas[name] * 1e3, rel=1e-9)
-        assert entry["unit"] == "mm"
-    assert len(result["weak_directions"]) == 3
-    assert result["cross_check"]["reduction_max_difference_mm"] < 1e-6
 
 
 def test_calibrated_machine_says_where_it_comes_from(tmp_path: Path) -> None:
@@ -374,25 +299,6 @@ def test_weak_directions_in_words() -> None:
     assert "The tolerances, not the readings, narrow this to 0.02 mm" in second
 
 
-@pytest.mark.parametrize(
-    ("errors", "said"),
-    [
-        ({"joint_offset.x": 5e-4}, "The zeros of the drives are off. Enter new zeros"),
-        ({}, "prediction hardly falls from 0.00"),
-    ],
-)
-def test_the_sentence_of_a_machine_with_nothing_else_wrong(
-    errors: dict[str, float], said: str
-) -> None:
-    worn = og.Machine.nominal().with_parameters(errors)
-    sheet, rng = protocol("sweep"), np.random.default_rng(2)
-    campaign = sheet.with_readings(worn.readings(sheet) + rng.normal(scale=1e-5, size=len(sheet)))
-    text = headline(identified(campaigns=[campaign], free=("joint_offset",)))
-    assert said in text
-    assert " wrong that these readings could show beyond" in text
-    assert "consistent with the noise of the dial" in text
-
-
 # --- In a browser ---------------------------------------------------------------------------
 
 MEASURE = """<script>
@@ -462,12 +368,3 @@ def browsed(page: Path, size: str, budget: int, *flags: str) -> dict[str, Any]:
     assert found, shown[-500:]
     told: dict[str, Any] = json.loads(html.unescape(found[1]))
     return told
-
-
-def test_nothing_overflows_in_a_browser(tmp_path: Path) -> None:
-    seen = opened(files_of()["report.html"], 390, tmp_path)
-    assert seen.inner == 390
-    assert seen.page <= 390
-    assert (seen.out, seen.cut, seen.flat) == ([], [], 0)
-    assert seen.svgs == 8  # the machine, residuals, and a panel for each setup
-    assert seen.height > 2000

@@ -30,7 +30,7 @@ from orthoglide.report.sentences import data_faults_text, evidence, headline
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, HoldOut, Suspect
 from orthoglide.result.result import sheet_of
-from orthoglide.verdict import Verdict, close_loop
+from orthoglide.verdict import Verdict
 from tests.page_laws import broken, too_long
 from tests.studied import studied
 from tests.test_report import RIG, browsed, check_page, check_timeless, opened, screen, words
@@ -129,14 +129,6 @@ def test_the_laws_of_the_page_see_what_breaks_them() -> None:
         == 1
     )
     assert too_long("short. " + "word " * 31 + "end.")
-
-
-@pytest.mark.thorough(except_for=["faulty"])
-@pytest.mark.parametrize("which", CASES)
-def test_the_same_bytes_again(which: str) -> None:
-    verdict = verdict_of(which)
-    assert report_files(verdict) == files_of(which)
-    assert list(files_of(which))[-1] == "result.json"
 
 
 @pytest.mark.parametrize("which", CASES)
@@ -238,14 +230,6 @@ def test_numbers_are_withheld_where_the_verdict_says_not_to_act() -> None:
     assert "every command of that drive" in words(files_of("explained")["report.html"])
 
 
-def test_a_machine_with_nothing_wrong() -> None:
-    verdict = close_loop(swept(kind="standard"), rig_machine())
-    assert verdict.word == "adequate"
-    assert "othing else is wrong that these readings could show" in headline(verdict)
-    page = report_files(verdict)["report.html"]
-    assert not {"located", "left", "faults"} & set(re.findall(r'section id="(\w+)"', page))
-
-
 # --- result.json and its neighbours ---------------------------------------------------------
 
 KEYS = {
@@ -317,23 +301,6 @@ def test_faults_carry_the_lines_of_the_file() -> None:
     assert aside[0]["predicted_after_mm"] == ""
 
 
-@pytest.mark.parametrize("which", CASES)
-def test_residuals_add_up(which: str) -> None:
-    verdict = verdict_of(which)
-    table = list(csv.DictReader(io.StringIO(files_of(which)["residuals.csv"])))
-    kept = [row for row in table if not row["set_aside"]]
-    for side, rms in (
-        ("nominal", verdict.nominal.rms),
-        ("before", verdict.before.scores.rms),
-        ("after", verdict.after.scores.rms),
-    ):
-        residual = np.array([float(row[f"residual_{side}_mm"]) for row in kept])
-        assert np.sqrt(np.mean(residual**2)) == pytest.approx(rms * 1e3, rel=1e-3)
-        row = kept[0]
-        value = float(row["reading_mm"]) - float(row[f"predicted_{side}_mm"])
-        assert value == pytest.approx(residual[0], abs=2e-6)
-
-
 @pytest.mark.parametrize("which", ["explained", "partial"])
 def test_the_calibrated_machine_is_averaged_over_the_class(which: str, tmp_path: Path) -> None:
     text, verdict = files_of(which)["calibrated.toml"], verdict_of(which)
@@ -385,6 +352,9 @@ def test_a_verdict_writes_its_report(tmp_path: Path) -> None:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out"]
 
 
+# --- The first screen -----------------------------------------------------------------------
+
+
 def test_a_verdict_shows_itself() -> None:
     verdict = verdict_of("explained")
     assert len(repr(verdict)) < 100
@@ -396,9 +366,6 @@ def test_a_verdict_shows_itself() -> None:
     assert frame.loc["axis_tilt.y.z", "value"] == pytest.approx(2.4e-3, abs=2e-4)
     assert frame.loc["joint_offset.x", "unit"] == "mm"
     assert list(frame.index) == [*verdict.before.names, "axis_tilt.y.z"]
-
-
-# --- The first screen -----------------------------------------------------------------------
 
 
 def test_tiles_are_the_tool_at_every_stage() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests import rig_campaigns as campaigns
-from tests.rig import BASE, LEGS, Array, Rig
+from tests.rig import LEGS, Array, Rig
 from tests.rig_campaigns import RHO, Row
 
 DATA = Path(__file__).parent / "data" / "rig"
@@ -39,66 +39,7 @@ def free_datum(rows: list[Row], residual: Array) -> Array:
     return residual - np.array([residual[setup == s].mean() for s in setup])
 
 
-# -- the definition ------------------------------------------------------------------------------
-
-
-def test_nominal_machine_satisfies_the_sphere_equations() -> None:
-    rho = commands(200)
-    pose = Rig().pose(rho)
-    for i in range(3):
-        gap = pose.p - rho[:, i, None] * BASE[i]
-        np.testing.assert_allclose(np.linalg.norm(gap, axis=1), 0.31025, rtol=0, atol=2e-13)
-        assert (gap[:, i] < 0).all()
-    np.testing.assert_allclose(pose.R, np.broadcast_to(BASE, (200, 3, 3)), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(Rig().pose(np.full(3, 0.31025)).p, 0, rtol=0, atol=1e-13)
-
-
 # -- the meaning of the parameters ---------------------------------------------------------------
-
-
-def test_errors_of_the_drive_are_changes_of_the_command() -> None:
-    rho = commands(30, 3)
-    near = np.random.default_rng(3).choice([-1.0, 0.0, 1.0], (30, 3))
-    told = rho[:, 1] - 0.31025
-    phase = 2 * np.pi * told / 0.02
-    cases = {
-        "joint_offset.y": np.full(30, 1e-3),
-        "encoder_scale.y": 1e-3 * told,
-        "screw_error.y.sin": 1e-3 * np.sin(phase),
-        "screw_error.y.cos": 1e-3 * np.cos(phase),
-        "backlash.y": -0.5e-3 * near[:, 1],
-    }
-    for name, change in cases.items():
-        moved = rho + change[:, None] * BASE[1]
-        got = Rig(errors={name: 1e-3}).pose(rho, near).p
-        np.testing.assert_allclose(got, Rig().pose(moved).p, rtol=0, atol=1e-12, err_msg=name)
-
-
-@pytest.mark.parametrize("family", ["axis_tilt", "rail_tilt", "rail_bow"])
-def test_path_of_a_carriage(family: str) -> None:
-    travel = np.array([-0.1, -0.02, 0.0, 0.06])
-    rho = np.full((4, 3), 0.31025)
-    rho[:, 0] += travel
-    errors = {f"{family}.x.y": 1e-3, "joint_offset.x": 2e-3}
-    lines = Rig(errors=errors).pose(rho).lines[:, 0, :, 0]
-    u = (travel + 2e-3 + 0.02) / 0.08
-    across = 1e-3 * (u**2 - 1 if family == "rail_bow" else travel + 2e-3)
-    np.testing.assert_allclose(lines.mean(axis=1)[:, 1], across, rtol=0, atol=1e-15)
-    # The short link lies along z: a rail tilted from x toward y turns about z and leaves it so.
-    np.testing.assert_allclose(lines[:, 0] - lines[:, 1], [[0, 0, 0.08]] * 4, rtol=0, atol=1e-15)
-
-
-def test_a_tilted_rail_turns_its_carriage_and_a_mount_tilt_does_the_same() -> None:
-    rho = np.full(3, 0.31025)
-    rail = Rig(errors={"rail_tilt.x.z": 1e-2}).pose(rho).lines[0, 0, :, 0]
-    mount = Rig(errors={"mount_tilt.x.b": -1e-2}).pose(rho).lines[0, 0, :, 0]
-    np.testing.assert_allclose(rail, mount, rtol=0, atol=1e-15)
-    # A rail that rises toward z tips the link's upper end back.
-    link = rail[0] - rail[1]
-    np.testing.assert_allclose(link, 0.08 * np.array([-np.sin(1e-2), 0, np.cos(1e-2)]), atol=1e-15)
-    about_a = Rig(errors={"mount_tilt.x.a": 1e-2}).pose(rho).lines[0, 0, :, 0]
-    link = about_a[0] - about_a[1]
-    np.testing.assert_allclose(link, 0.08 * np.array([0, -np.sin(1e-2), np.cos(1e-2)]), atol=1e-15)
 
 
 def test_dial() -> None:

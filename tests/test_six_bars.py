@@ -18,10 +18,8 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism.compiled import compiler
 from orthoglide.mechanism.engine import PinocchioEngine, SixBars
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.rows import RowFunction
 from orthoglide.mechanism.six_bars import LINES, OUTPUT_SIZE, ROTATION
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
-from orthoglide.prediction import Conditions
 from tests.engines import (
     NOMINAL,
     OTHER,
@@ -122,44 +120,6 @@ def test_outputs_hold_a_rotation_and_bars_of_their_lengths(geometry: Geometry) -
 
 
 # -- many machines, and machines of any size -------------------------------------------------
-
-
-def drawn_machines(geometry: Geometry, n: int, times: float) -> tuple[Array, Array]:
-    """Postures of ``n`` machines with every error of the catalogue drawn at once."""
-    machine = Machine(MachineFile(geometry=geometry, screw_pitch=0.02))
-    model = machine.model
-    draws = np.random.default_rng(4)
-    tolerances = np.array([machine.tolerance(name) for name in model.catalogue.parameters])
-    theta = times * tolerances * draws.standard_normal((n, len(tolerances)))
-    travel, _ = postures(geometry, n, 5)
-    seen = model.condition_vectors(
-        Conditions.from_commands(
-            geometry.zero + travel,
-            approach=draws.choice([-1.0, 1.0], (n, 3)),
-            time=draws.uniform(0, 3600, n),
-            warming=draws.uniform(0, 5, n),
-            load=draws.uniform(0, 100, n),
-        )
-    )
-    sizes = np.broadcast_to(
-        model.displacement_model.dimensions, (n, len(model.displacement_model.dimensions))
-    )
-    return travel, RowFunction(model.displacement_model.function)(sizes, theta, seen)[0]
-
-
-@pytest.mark.parametrize("geometry", [NOMINAL, WIDE], ids=["Orthoglide", "wide delta"])
-def test_no_machine_with_errors_of_three_tolerances_fails(geometry: Geometry) -> None:
-    n = 1000
-    travel, moves = drawn_machines(geometry, n, 3.0)
-    assert np.abs(moves).max(axis=0).min() > 1e-5  # every virtual joint is displaced
-    out = six_bars(geometry).outputs(travel, moves)
-    assert np.isfinite(out.values).all()
-    length = np.linalg.norm(out.lines[..., 1, :] - out.lines[..., 0, :], axis=-1)
-    stretch = moves.reshape(n, 3, 10)[..., [VIRTUAL_NAMES.index(f"stretch{k}") for k in (1, 2)]]
-    assert np.abs(length - geometry.L - stretch).max() < 1e-14
-    chosen = np.random.default_rng(6).choice(n, 20, replace=False)
-    expected = judge(geometry).outputs(travel[chosen], moves[chosen]).values
-    assert np.abs(out.values[chosen] - expected).max() < 1e-13
 
 
 @pytest.mark.parametrize("stroke", [1e-3, 1.0], ids="{:g} m".format)

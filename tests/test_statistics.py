@@ -227,10 +227,3 @@ def test_intervals_of_scaled_sigmas_are_students() -> None:
     scaled = replace(found, sigma_scale=1.5).coverage_factor
     assert normal_factor == pytest.approx(stats.norm.ppf(0.975))
     assert scaled == pytest.approx(stats.t.ppf(0.975, found.scores.dof))
-
-
-@pytest.mark.thorough
-def test_made_up_campaigns_of_the_model_lack_nothing() -> None:
-    """p-values of lack of fit over many campaigns: one in ten below a tenth, and no fewer."""
-    p = [fitted(seed=seed).scores.lack_of_fit_p for seed in range(40)]
-    assert 1 <= sum(v < 0.1 for v in p) <= 9

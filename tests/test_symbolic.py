@@ -98,25 +98,6 @@ def test_the_robots_cover_every_kind_of_joint() -> None:
     assert any(kind.startswith("JointModelP") for kind in kinds)
 
 
-def test_joints_by_hand() -> None:
-    oblique = np.array([1.0, -2.0, 0.5]) / np.linalg.norm([1.0, -2.0, 0.5])
-    model = pin.Model()
-    parent = 0
-    for k, joint in enumerate(
-        [
-            pin.JointModelPY(),
-            pin.JointModelPrismaticUnaligned(oblique),
-            pin.JointModelRevoluteUnaligned(oblique),
-            pin.JointModelRUBX(),
-            pin.JointModelSpherical(),
-            pin.JointModelFreeFlyer(),
-        ]
-    ):
-        parent = model.addJoint(parent, joint, pin.SE3.Random(), f"j{k}")
-        model.addFrame(pin.Frame(f"f{k}", parent, 0, pin.SE3.Random(), pin.FrameType.OP_FRAME))
-    assert largest_difference(model, 20) < 1e-12
-
-
 def chain(*joints: Any) -> pin.JointModelComposite:
     """One composite joint of several."""
     composite = pin.JointModelComposite()
@@ -149,47 +130,3 @@ def test_unsupported_joints_are_refused(kind: Callable[[], Any]) -> None:
     tree = SymbolicTree(model)
     with pytest.raises(InputError, match="not supported"):
         tree.frame("tip")
-
-
-def test_a_mimic_joint_is_refused() -> None:
-    text = """<robot name="two">
-      <link name="a"/><link name="b"/><link name="c"/>
-      <joint name="one" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
-        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
-      <joint name="two" type="revolute"><parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-        <limit lower="-1" upper="1" effort="1" velocity="1"/>
-        <mimic joint="one" multiplier="2" offset="0.1"/></joint></robot>"""
-    model = pin.buildModelFromXML(text, mimic=True)
-    assert "Mimic" in model.joints[2].shortname()
-    with pytest.raises(InputError, match="not supported"):
-        SymbolicTree(model).frame("c")
-
-
-def test_unknown_frames_are_refused() -> None:
-    tree = SymbolicTree(load().model)
-    with pytest.raises(InputError, match="no frame 'nose'"):
-        tree.frame("nose")
-    with pytest.raises(InputError, match="no frame 'nose'"):
-        tree.relative("x_tcp", "nose")
-
-
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        ("x_tcp", "z_tcp"),
-        ("x_bar2_tip", "x_knuckle_tip"),
-        ("x_carriage", "x_tcp"),
-        ("base", "y_tcp"),
-    ],
-)
-def test_relative_transforms(first: str, second: str) -> None:
-    model = general_tree(load()).model
-    tree = SymbolicTree(model)
-    between = tree.relative(first, second)
-    compare = ca.Function("compare", [tree.q], [ca.horzcat(between.R, between.t)])
-    data = model.createData()
-    for q in configurations(model, 10):
-        pin.framesForwardKinematics(model, data, q)
-        one, two = (data.oMf[model.getFrameId(name)] for name in (first, second))
-        expected = one.actInv(two).homogeneous[:3]
-        assert np.abs(compare(q).full() - expected).max() < 1e-12

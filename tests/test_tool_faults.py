@@ -185,13 +185,6 @@ def test_noise_that_no_instrument_has_is_declared_or_refused() -> None:
     assert studied([campaign], poor).word == "adequate"
 
 
-@pytest.mark.parametrize("kind", ["plate", "incline"])
-def test_sound_readings_are_not_refused(kind: str) -> None:
-    for seed in range(5):
-        found = og.identify([read(kind, seed, 2e-5)], MACHINE)
-        assert not any(w.kind == "slip" for w in found.warnings)
-
-
 def test_a_plate_that_moved_half_way_stands_twice() -> None:
     """No place of this sheet is read twice: it was *unexplained*, and counted as rough."""
     campaign = read("plate")

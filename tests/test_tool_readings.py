@@ -17,7 +17,7 @@ from orthoglide.fit.repeats import roughness
 from orthoglide.geometry import Geometry, align_points
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
-from orthoglide.machine_file import Controller, Instrument, MachineFile
+from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.checks import check_readings
 from orthoglide.planning.sheets import instrument_sheet
@@ -221,22 +221,6 @@ def test_noise_comes_from_instrument_rows_and_roughness(tmp_path: Path) -> None:
     assert roughness(np.zeros((5, 2)), np.zeros(5), np.zeros((5, 3)))[0] == 0.0
 
 
-BROKEN = {
-    "leg on a delta": ("plate,", "leg,", "on an Orthoglide only"),
-    "no such kind": ("plate,", "plank,", "not one of"),
-    "no second command": ("travel_a2_mm", "elsewhere", "no column travel_a2_mm"),
-    "rho on a delta": ("travel_a_mm", "rho_a_mm", "no column"),
-}
-
-
-@pytest.mark.parametrize("kind", BROKEN)
-def test_files_that_cannot_be_meant_are_refused(kind: str, tmp_path: Path) -> None:
-    old, new, phrase = BROKEN[kind]
-    content = text(("plate", "distance"))
-    with pytest.raises(FileError, match=phrase):
-        read(tmp_path, content.replace(old, new))
-
-
 def test_the_sign_of_one_length_is_a_typo_and_of_a_deviation_is_not(tmp_path: Path) -> None:
     (campaign,) = read(tmp_path, text(("ballbar",)))
     rows = text(("ballbar",)).splitlines(keepends=True)
@@ -250,55 +234,12 @@ def test_the_sign_of_one_length_is_a_typo_and_of_a_deviation_is_not(tmp_path: Pa
     check_readings(deviation, SPEC, lambda message, row: pytest.fail(message))
 
 
-def test_dials_and_tool_readings_of_an_orthoglide_go_together(tmp_path: Path) -> None:
-    machine = Machine.nominal()
-    truth = machine.with_parameters({"joint_offset.x": 5e-4, "joint_offset.z": -3e-4})
-    sheet = og.simulate(truth, "standard", noise=5e-6)
-    rho = sheet.command[::3]
-    p = truth.forward(rho)
-    lines = ["kind,setup,direction,rho_x_mm,rho_y_mm,rho_z_mm,reading_mm\n"]
-    for command, point in zip(rho, p, strict=True):
-        for axis, name in enumerate("xyz"):
-            cells = [f"{v * 1e3:.9f}" for v in (*command, point[axis])]
-            lines.append(",".join(["tcp", "tracker", name, *cells]) + "\n")
-    (tool,) = read(tmp_path, "".join(lines), machine.spec)
-    both = og.identify([sheet, tool], machine)
-    assert both.values["joint_offset.x"] == pytest.approx(5e-4, abs=3e-5)
-    assert both.sigmas["joint_offset.x"] < og.identify([sheet], machine).sigmas["joint_offset.x"]
-    programme = og.identify([sheet, tool], machine, method="nlp")
-    assert programme.method == "nlp"
-    assert programme.x == pytest.approx(both.x, abs=1e-9)
-
-
 def test_what_a_delta_or_its_file_lacks_is_said(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="--machine"):
         read(tmp_path, text(("plate",)), Machine.nominal().spec)
     for ask in (lambda: og.protocol("standard", SPEC.geometry), lambda: og.simulate(MACHINE)):
         with pytest.raises(InputError, match="readings of its tool"):
             ask()
-
-
-@pytest.mark.parametrize("zero", [0.0, 0.07])
-def test_readings_keep_how_their_machine_is_called(tmp_path: Path, zero: float) -> None:
-    """A delta's are written as a delta's, with the machine, its file, that one's path, or none."""
-    controller = Controller(zero=(zero,) * 3)
-    machine = Machine(replace(SPEC, controller=controller))
-    machine.save(tmp_path / "machine.toml")
-    (campaign,) = read(tmp_path, text(("plate", "distance")))
-    given = (machine, machine.spec, tmp_path / "machine.toml", None)
-    for k, one in enumerate(given):
-        frame = campaign.to_frame(one)
-        assert {"travel_a_mm", "travel_c2_mm", "approach_b"} < set(frame)
-        taken = MACHINE if one is None else one  # without one they count from mechanical zero
-        og.write_campaign(campaign, tmp_path / f"{k}.csv", one)
-        (again,) = og.read_readings(tmp_path / f"{k}.csv", taken)
-        for back in (again, Readings.from_frame(frame, machine_file=taken)):
-            np.testing.assert_allclose(back.command, campaign.command, rtol=0, atol=1e-12)
-            np.testing.assert_allclose(back.second, campaign.second, rtol=0, atol=1e-12)
-            assert back.legs == campaign.legs == LinearDelta.names
-    with pytest.raises(InputError, match=r"must be a Machine, .* not a float"):
-        og.write_campaign(campaign, tmp_path / "no.csv", 0.1)  # type: ignore[arg-type]
-    assert {one.legs for one in sheets(machine, "plate", "incline")} == {LinearDelta.names}
 
 
 def sheets(machine: Machine, *kinds: str) -> list[Readings]:
@@ -316,28 +257,6 @@ def test_what_is_no_one_file_is_refused(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=what):
             og.write_campaign(given, tmp_path / "no.csv")
     assert not (tmp_path / "no.csv").exists()
-
-
-def test_a_delta_from_python_alone() -> None:
-    """With public names only: the machine, a sheet for a probe, its readings as arrays, a fit."""
-    layout = og.LinearDelta((0.14,) * 3, tool=(0.0, 0.0, -0.04))
-    shape = og.Geometry(L=0.27, d=0.05, r=0.032, stroke=(-0.2, 0.1), layout=layout)
-    machine = og.Machine(
-        og.MachineFile(geometry=shape, instruments={"plate": og.Instrument(repeatability=1e-5)})
-    )
-    with pytest.raises(InputError, match=r"tool_sheets\(machine, "):
-        og.design(machine)
-    plate, distances = og.tool_sheets(machine, ["plate", "distance"])
-    assert (len(plate), len(distances)) == (29, 30)
-    assert np.isnan(plate.reading).all()
-    assert distances.order[0] == len(plate) + 1
-    worn = machine.with_parameters({"joint_offset.a": 3e-4})
-    noise = np.random.default_rng(0).normal(scale=1e-5, size=len(plate))
-    read = replace(plate, reading=worn.forward(plate.command)[:, 2] + noise)
-    estimate = og.identify(read, machine)
-    offsets = [estimate.values[f"joint_offset.{leg}"] for leg in "abc"]
-    assert offsets[0] - (offsets[1] + offsets[2]) / 2 == pytest.approx(3e-4, abs=3e-4)
-    assert estimate.scores.rms < 2e-5 < estimate.nominal.rms
 
 
 MEANT = {
@@ -493,6 +412,9 @@ def test_repeats_of_an_instrument_are_visits_from_one_side(tmp_path: Path) -> No
     assert factor_of(visits, MACHINE).sigma == pytest.approx(2e-6, rel=1.5)
 
 
+# --- what is simulated is what an instrument gives ------------------------------------------------
+
+
 def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
     """Two setups on one plate show that their shapes agree, and not what they are."""
     machine = Machine(replace(SPEC, tolerance=MACHINE.catalogue.belt_tolerance))
@@ -505,9 +427,6 @@ def test_one_plate_probed_twice_hides_its_bowl_as_if_probed_once() -> None:
         assert posterior is not None
         hidden = {n.setup for n in posterior.invisible if n.effect == "plate_bow"}
         assert hidden == set(setups)
-
-
-# --- what is simulated is what an instrument gives ------------------------------------------------
 
 
 def exacting(**errors: float) -> Machine:
