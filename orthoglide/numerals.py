@@ -55,6 +55,16 @@ def compact(value: float, digits: int = 3, plus: bool = False) -> str:
     return text.replace("-", MINUS)
 
 
+def in_mm(metres: float) -> float:
+    """Return metres in millimetres to a nanometre, for JSON; zero has no sign."""
+    return round(metres * 1e3, 6) + 0.0
+
+
+def mm_text(metres: float, decimals: int = 6) -> str:
+    """Return metres in millimetres, or radians in milliradians, as text for files and tables."""
+    return f"{metres * 1e3:z.{decimals}f}"
+
+
 _MAX_DECIMALS_MM = 4  # decimals of millimetres, beyond the accuracy of any machine
 
 

@@ -66,13 +66,13 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
     for name, value in values.items():
         if (effect := catalogue.effect_of(name)).of_dial:
             parameter = catalogue.parameter(name)
-            place = parameter.undirected if effect.paired else parameter
-            of_setups.setdefault(place, []).append(value)
-    for place, sizes in of_setups.items():
-        effect = catalogue.effect_of(place)
+            finding = parameter.undirected if effect.paired else parameter
+            of_setups.setdefault(finding, []).append(value)
+    for finding, sizes in of_setups.items():
+        effect = catalogue.effect_of(finding)
         part: Part = "plate" if effect.of_body else "dial"
         size = size_words(effect, math.hypot(*sizes))
-        marks.append(Mark(part, -1, np.zeros(3), size, setup=place.setup))
+        marks.append(Mark(part, -1, np.zeros(3), size, setup=finding.setup))
     for p, value in catalogue.elementary_machine_values(values).items():
         direction = "" if catalogue.effect_of(p).paired else p.direction
         groups.setdefault((p.effect, p.leg, direction), {})[p] = value

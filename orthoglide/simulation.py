@@ -92,8 +92,8 @@ def _fill_in(
         for setup, stand, row, drawn_row in zip(
             sheet.setups, factor.instrument_poses, nuisances, drawn, strict=True
         ):
-            own = slice(setup.observation.nuisance_count)
-            pose, row[own] = setup.observation.apply_pose_nuisances(stand, drawn_row[own])
+            columns = slice(setup.observation.nuisance_count)
+            pose, row[columns] = setup.observation.apply_pose_nuisances(stand, drawn_row[columns])
             displaced.append(pose)
         model = MeasurementModel(sheet, tuple(displaced), factor.normalized_plate_xy, nuisances)
         readings = model.predict(machine.model, machine.values)

@@ -283,6 +283,19 @@ def test_a_plate_that_was_found_bent_is_no_change_at_the_next_visit(tmp_path: Pa
     assert [cause.name for cause in again.effects] == ["plate_trefoil.bed"]
 
 
+def test_a_pair_is_one_name_where_it_is_freed_and_where_it_is_run_again(tmp_path: Path) -> None:
+    rig, pair = DeltaRig(errors={"plate_trefoil.bed.cos": -2.6e-4}), "plate_trefoil.bed"
+    mesh = measured(rig, np.random.default_rng(5), machine=nominal(), instrument="mesh")
+    og.write_campaign(mesh, tmp_path / "mesh.csv", nominal())
+    nominal().save(tmp_path / "machine.toml")
+    given = (tmp_path / "mesh.csv", "--machine", tmp_path / "machine.toml")
+    run("identify", *given, "--free", f"joint_offset,{pair}", "--out", tmp_path / "out")
+    file = tmp_path / "out" / "result.json"
+    result = json.loads(file.read_text())
+    assert {n for n in result["parameters"] if pair in n} == {f"{pair}.cos", f"{pair}.sin"}
+    assert "same numbers" in run("rerun", file)
+
+
 @pytest.mark.thorough
 def test_a_cause_beside_a_place_is_reported_whole(tmp_path: Path) -> None:
     """Rivals of the cause are machines on which the place goes wrong as well; and the machine is

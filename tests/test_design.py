@@ -224,7 +224,7 @@ def test_what_no_design_can_serve_is_refused(machine, families, count, word):
 
 @pytest.mark.parametrize("stroke", [(-0.1, 0.06), (-0.04, 0.03), (-0.3, 0.2), (-0.12, 0.12)])
 def test_no_wave_of_a_drive_is_a_curve_at_the_stations_of_the_sweep(stroke):
-    made = og.Machine(og.MachineFile(og.Geometry(L=1.0, stroke=stroke)))
+    made = og.Machine(og.MachineFile(geometry=og.Geometry(L=1.0, stroke=stroke)))
     sweep = protocol("sweep", made.geometry)
     assert aliasing(made, sweep) == ()
     # At even steps a wave as long as two stations, and its fractions, is one.

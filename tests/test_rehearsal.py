@@ -28,6 +28,7 @@ from orthoglide.rehearsal.random_machines import (
     Scope,
     draw_machine,
 )
+from orthoglide.result import decoded, encoded
 from tests.klipper_files import DATA
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
@@ -117,8 +118,8 @@ def alone() -> Rehearsal:
 @pytest.mark.thorough
 def test_campaigns_are_the_same_whatever_the_workers(alone: Rehearsal) -> None:
     two = og.rehearse(og.Machine.load(MACHINE), "standard", 2, seed=2, jobs=2)
-    assert [replace(t, seconds=0.0).as_dict() for t in two.campaigns] == [
-        replace(t, seconds=0.0).as_dict() for t in alone.campaigns[:2]
+    assert [encoded(replace(t, seconds=0.0)) for t in two.campaigns] == [
+        encoded(replace(t, seconds=0.0)) for t in alone.campaigns[:2]
     ]
 
 
@@ -168,7 +169,7 @@ def test_a_failed_campaign_counts_and_is_shown(scope: Scope, monkeypatch: Any) -
     found = Rehearsal("mine", 36, 0, (tried,))
     assert found.columns["failed"][KINDS.index(EFFECT)] == 1
     assert "failed, SolverError: it does not settle" in str(found)
-    assert Outcome.from_dict(json.loads(json.dumps(tried.as_dict()))).failed == tried.failed
+    assert decoded(Outcome, json.loads(json.dumps(encoded(tried))), {}).failed == tried.failed
 
 
 def test_the_result_is_a_table(alone: Rehearsal, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ import click
 import orthoglide.cli.options as opt
 from orthoglide.cli.app import Group, cli, deliver, progress, warn
 from orthoglide.errors import FileError, InputError, UnreachableError
+from orthoglide.numerals import mm_text
 from orthoglide.progress import Step
 from orthoglide.text import csv_text, wrapped
 
@@ -220,7 +221,7 @@ def _compute(
         if len(numbers) != 3 or not np.isfinite(numbers).all():
             raise InputError("give exactly three finite numbers, in mm")
         result = solve(np.array([numbers]) * 1e-3, _raise_input_error)[0]
-        click.echo(" ".join(map(_millimetres, result)))
+        click.echo(" ".join(map(mm_text, result)))
         return
     rows, layout = read_table(csv), robot.geometry.layout.names
     columns, result_columns = replace(POINT, empty_value=None), native_command_column(layout)
@@ -240,7 +241,7 @@ def _compute(
     text = csv_text(
         (*rows.names, *result_names),
         (
-            [*row, *map(_millimetres, new)]
+            [*row, *map(mm_text, new)]
             for *row, new in zip(*rows.columns.values(), results, strict=True)
         ),
     )
@@ -249,10 +250,6 @@ def _compute(
 
 def _raise_input_error(message: str, row: int | None) -> NoReturn:
     raise InputError(message)
-
-
-def _millimetres(metres: float) -> str:
-    return f"{metres * 1e3:z.6f}"
 
 
 @cli.command()

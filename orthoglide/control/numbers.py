@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from textwrap import TextWrapper
 from typing import Any
 
@@ -15,12 +16,13 @@ from orthoglide.effects import DRIVE_ENTRIES
 from orthoglide.frames import Framed
 from orthoglide.layout import ORTHOGLIDE, LegNames
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.numerals import MINUS, plain, signed
+from orthoglide.numerals import MINUS, in_mm, mm_text, plain, signed
 from orthoglide.ordering import RELATIVE_MARGIN, best_of, ranked
 from orthoglide.parameters import effect_name
 from orthoglide.text import listed, sentence
 
 _fill = TextWrapper(100, break_on_hyphens=False, break_long_words=False).fill
+_micrometres = partial(mm_text, decimals=3)  # millimetres, to a micrometre
 RULE = (
     "Enter each new zero once, in place of the old one, or add new zero − old zero to every "
     "command of that drive; never both."
@@ -94,31 +96,31 @@ class DriveNumbers:
         """Return the numbers for JSON, only zeros if ``zeros_alone``; lengths in millimetres."""
         zeros = {
             "sign": self.sign,
-            **({"offset_mm": _mm(self.offset)} if self.best else {}),
-            "old_zero_mm": _mm(self.zero),
-            "new_zero_mm": _mm(self.new_zero),
-            "add_to_command_mm": _mm(self.correction),
+            **({"offset_mm": in_mm(self.offset)} if self.best else {}),
+            "old_zero_mm": in_mm(self.zero),
+            "new_zero_mm": in_mm(self.new_zero),
+            "add_to_command_mm": in_mm(self.correction),
         }
         others = {
-            "joint_offset_mm": _mm(self.identified),
+            "joint_offset_mm": in_mm(self.identified),
             "scale_factor": round(self.scale_factor, 9),
-            "backlash_mm": _mm(self.backlash),
-            "new_zero_one_sided_mm": _mm(self.one_sided_zero),
-            "bar_length_mm": _mm(self.bar_length),
+            "backlash_mm": in_mm(self.backlash),
+            "new_zero_one_sided_mm": in_mm(self.one_sided_zero),
+            "bar_length_mm": in_mm(self.bar_length),
         }
         return zeros if zeros_alone else zeros | others
 
     def worked(self, names: LegNames) -> str:
         """Return the sign rule with the numbers of this drive, in a layout's words."""
         direction = names.slide_end_words[self.sign > 0][1]
-        side = names.slide_end_words[_mm(self.offset) >= 0][0]
+        side = names.slide_end_words[in_mm(self.offset) >= 0][0]
         stands = "stands on average" if self.best else "stands"
-        old, sign = plain(_mm(self.zero), 3), signed(self.sign, 0)
+        old, sign, offset = plain(in_mm(self.zero), 3), signed(self.sign, 0), in_mm(self.offset)
         return (
             f"at the old zero {old} carriage {self.leg} {stands} "
-            f"{abs(_mm(self.offset)):.3f} mm too far {side}, and the controller counts {direction} "
+            f"{abs(offset):.3f} mm too far {side}, and the controller counts {direction} "
             f"(sign {sign}): new zero = {old} {MINUS} ({sign}) × "
-            f"({signed(_mm(self.offset), 3)}) = {plain(_mm(self.new_zero), 3)} mm."
+            f"({signed(offset, 3)}) = {plain(in_mm(self.new_zero), 3)} mm."
         )
 
 
@@ -184,9 +186,7 @@ class ControllerNumbers(Framed):
     @property
     def zeros(self) -> Table:
         """The zeros to enter, old and new."""
-        printed = [
-            (d.leg, _millimetres_text(d.zero), _millimetres_text(d.new_zero)) for d in self.drives
-        ]
+        printed = [(d.leg, _micrometres(d.zero), _micrometres(d.new_zero)) for d in self.drives]
         rows = tuple(row for row in printed if row[1] != row[2])
         return Table((self.names.axis, "old zero", "new zero"), rows)
 
@@ -201,7 +201,7 @@ class ControllerNumbers(Framed):
     @property
     def worked(self) -> str:
         """The sign rule worked for the axis whose zero moves most; empty where none does."""
-        if not any(_mm(d.correction) for d in self.drives):
+        if not any(in_mm(d.correction) for d in self.drives):
             return ""
         moved_most = best_of(self.drives, lambda d: abs(d.correction))
         return f"{self.names.axis.capitalize()} {moved_most.leg}: {moved_most.worked(self.names)}"
@@ -215,11 +215,11 @@ class ControllerNumbers(Framed):
             scales = tuple((d.leg, f"{d.scale_factor:.6f}") for d in drives)
             settings.append((Table((axis, "scale factor"), scales), _SCALE_TEXT))
         if any(d.backlash > _MIN_LENGTH for d in drives):
-            text, titles = _millimetres_text, (axis, "backlash", "one-sided zero")
+            titles, text = (axis, "backlash", "one-sided zero"), _micrometres
             rows = tuple((d.leg, text(d.backlash), text(d.one_sided_zero)) for d in drives)
             settings.append((Table(titles, rows), _BACKLASH_TEXT))
         if not self.zeros_alone and self.calibrated:
-            lengths = tuple((d.leg, _millimetres_text(d.bar_length)) for d in drives)
+            lengths = tuple((d.leg, _micrometres(d.bar_length)) for d in drives)
             settings.append((Table((axis, f"{bar} length"), lengths), _LENGTH_TEXT.format(bar)))
         return tuple(settings)
 
@@ -250,7 +250,7 @@ class ControllerNumbers(Framed):
             "rule": f"{_FORMULA} {RULE}",
             "drives": {d.leg: d.as_dict(self.zeros_alone) for d in self.drives},
             "zeros_only_mm": {
-                d.leg: _mm(v) for d, v in zip(self.drives, self.zeros_only, strict=True)
+                d.leg: in_mm(v) for d, v in zip(self.drives, self.zeros_only, strict=True)
             },
             "checks": {c.drive: c.as_dict() for c in self.checks},
             "expected": {name: error.as_dict() for name, error in self.expected.items()},
@@ -363,15 +363,6 @@ def _values_by_kind(machine: Machine, values: dict[str, float]) -> dict[str, np.
             leg = machine.geometry.leg_names.index(machine.catalogue.parameter(name).leg)
             by_kind[kind][leg] += value
     return by_kind
-
-
-def _mm(metres: float) -> float:
-    return round(metres * 1e3, 6) + 0.0
-
-
-def _millimetres_text(metres: float) -> str:
-    """Return millimetres to a micrometre as text; what rounds to zero has no sign."""
-    return f"{round(metres * 1e3, 3) + 0.0:.3f}"
 
 
 _SCALE_TEXT = (

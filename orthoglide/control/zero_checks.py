@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.numerals import signed
+from orthoglide.numerals import in_mm, signed
 from orthoglide.observations import Readings, protocol
 from orthoglide.ordering import largest
 
@@ -72,12 +72,12 @@ class ZeroCheck:
             "setup": self.setup,
             "leg": self.touched,
             "direction": self.direction,
-            "gauge_mm": round(self.gauge * 1e3, 6),
+            "gauge_mm": in_mm(self.gauge),
             "posture": self.posture,
-            "shown_at_zero_mm": [round(v * 1e3, 6) + 0.0 for v in self.at_zero],
-            "shown_at_posture_mm": [round(v * 1e3, 6) + 0.0 for v in self.at_posture],
-            "expected_mm": round(self.right * 1e3, 6) + 0.0,
-            "expected_if_wrong_mm": round(self.wrong * 1e3, 6) + 0.0,
+            "shown_at_zero_mm": [*map(in_mm, self.at_zero)],
+            "shown_at_posture_mm": [*map(in_mm, self.at_posture)],
+            "expected_mm": in_mm(self.right),
+            "expected_if_wrong_mm": in_mm(self.wrong),
             "drives_moving": self.way or None,
         }
 

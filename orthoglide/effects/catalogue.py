@@ -17,7 +17,7 @@ from orthoglide.effects.effect import Effect
 from orthoglide.effects.motions import Motion
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
-from orthoglide.parameters import Parameter, effect_name, setup_parts
+from orthoglide.parameters import Parameter, effect_name, setup_parts, split_campaign
 from orthoglide.units import to_si
 
 CUSTOM_EFFECTS_HINT = (
@@ -239,7 +239,9 @@ class Catalogue(Mapping[str, Effect]):
         return totals
 
     def expand(self, chosen: Iterable[str], setups: Iterable[str] = ()) -> tuple[Parameter, ...]:
-        """Parameters for effects or single names, in the order given, none twice.
+        """Parameters for effects, pairs or single names, in the order given, none twice.
+
+        A pair, such as a sine and its cosine, has the name of its parameters without direction.
 
         Raises:
             InputError: for what is neither.
@@ -247,10 +249,12 @@ class Catalogue(Mapping[str, Effect]):
         setups = tuple(setups)
         parameters: dict[Parameter, None] = {}
         for name in chosen:
-            if name in self.by_name:
-                parameters.update(dict.fromkeys(self.by_name[name].parameters(setups)))
-            else:
-                parameters[self.parameter(name, setups)] = None
+            effect, (plain, campaign) = self.effect_of(name), split_campaign(name)
+            members = effect.parameters(setups)
+            if name != effect.name:
+                pair = [p.at(campaign) for p in members if effect.paired and p.undirected == plain]
+                members = tuple(pair) or (self.parameter(name, setups),)
+            parameters.update(dict.fromkeys(members))
         return tuple(parameters)
 
     def structured_members(

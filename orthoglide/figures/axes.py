@@ -246,8 +246,8 @@ class Axes:
 
     def write(self, x: float, y: float, words: str, size: float) -> None:
         """Write a text centred at a point."""
-        place = float(self.across(x)), float(self.up(y)) + _DESCENT * size
-        self._labels.append(text(*place, words, size, "middle"))
+        centre = float(self.across(x)), float(self.up(y)) + _DESCENT * size
+        self._labels.append(text(*centre, words, size, "middle"))
 
     def _places(self, x: ArrayLike, y: ArrayLike) -> list[str]:
         places = np.stack([np.ravel(self.across(x)), np.ravel(self.up(y))], axis=1)
@@ -288,11 +288,11 @@ class Panel:
         bottom: float = 32.0,
     ) -> Axes:  # fmt: skip
         """Return new axes within margins, which contain titles, ticks and labels."""
-        place = (
+        box = (
             self.box[0] + left, self.box[1] + top,
             self.box[2] - left - right, self.box[3] - top - bottom,
         )  # fmt: skip
-        self.axes.append(Axes(place, x, y))
+        self.axes.append(Axes(box, x, y))
         return self.axes[-1]
 
     def svg(self) -> str:

@@ -10,12 +10,9 @@ import numpy as np
 from orthoglide.effects import Effect
 from orthoglide.geometry import Array
 from orthoglide.instruments.observation import (
-    InstrumentPriors,
-    Ints,
     Mounted,
     Observation,
     ReadingVariables,
-    Setup,
     dot,
     linear_combination,
     vector,
@@ -49,10 +46,6 @@ class Inclination(Observation):
     def mounting_values(self, mounted: Mounted) -> Array:
         """Return the axis of each row, with its sign."""
         return mounted.signed_axes
-
-    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return that the datum of each axis has no prior."""
-        return np.full(3, np.inf)
 
     def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
         """Return the middle and the ring."""

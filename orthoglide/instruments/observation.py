@@ -268,16 +268,17 @@ class Observation(ABC):
     def mounting_values(self, mounted: Mounted) -> Array:
         """Return the numbers of the mountings that the formula uses ``(m, M)``."""
 
-    @abstractmethod
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
         """Return prior standard deviations of the nuisance parameters, of mean zero ``(K,)``:
-        infinite where nothing is known, 0 where the setup does not have the parameter.
+        infinite where nothing is known, as of all by default, 0 where the setup does not have the
+        parameter.
 
         Args:
             setup: the mounting.
             axis: base axes that the setup reads ``(m,)``.
             priors: of the poses of instruments.
         """
+        return np.full(self.nuisance_count, np.inf)
 
     def shared_nuisance_name(self, setup: Setup, index: int) -> str:
         """Return the name under which setups of a file share a nuisance parameter; empty if it is

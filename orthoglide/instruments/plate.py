@@ -13,7 +13,6 @@ from orthoglide.instruments.observation import (
     TOOL_OFFSET_COLUMNS,
     InstrumentPose,
     InstrumentPriors,
-    Ints,
     Mounted,
     Observation,
     ReadingVariables,
@@ -68,10 +67,6 @@ class PlateTouch(Observation):
         x, y = mounted.normalized_plate_xy[mounted.rows].T
         shape_values = [np.broadcast_to(shape(x, y), x.shape) for shape in shapes]
         return np.column_stack([mounted.beside, lift, *shape_values])
-
-    def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return that the plane's height and slopes have no prior."""
-        return np.full(3, np.inf)
 
     def estimate_pose(
         self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors

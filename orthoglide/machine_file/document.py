@@ -71,9 +71,9 @@ class Document:
         """Refuse the first key of a table that is none of ``names``."""
         for key in self.table(*path):
             if key not in names:
-                place = f"[{path[0]}]" if path else "the machine file"
+                table = f"[{path[0]}]" if path else "the machine file"
                 self.fail(
-                    f"{place} has no key {abbreviated(key)!r}: {key_hint(key, names)}", *path, key
+                    f"{table} has no key {abbreviated(key)!r}: {key_hint(key, names)}", *path, key
                 )
 
     def value(self, parse: Callable[[Any], Any], *path: str) -> Any:
@@ -95,8 +95,8 @@ def key_hint(key: str, names: Collection[str]) -> str:
 
 
 def _toml_error(message: str, text: str) -> tuple[str, int]:
-    reason, _, place = message.partition(" (at ")
-    match = re.match(r"line (\d+)", place)
+    reason, _, position = message.partition(" (at ")
+    match = re.match(r"line (\d+)", position)
     line = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
     return abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH), line
 

@@ -152,11 +152,11 @@ def check_points(command: Array, p: Array, fail: Fail) -> None:
 def check_sequence(command: Array, order: Ints, lines: Sequence[int], fail: Fail) -> None:
     """Refuse two commands ``(n, 3)``, of readings or moves, at one place in the order ``(n,)``."""
     first_rows: dict[int, int] = {}
-    for row, place in enumerate(order.tolist()):
-        first_row = first_rows.setdefault(place, row)
+    for row, position in enumerate(order.tolist()):
+        first_row = first_rows.setdefault(position, row)
         if np.abs(command[row] - command[first_row]).max() > MIN_MOVE:
             fail(
-                f"order {place} stands for another command on line {lines[first_row]}: "
+                f"order {position} stands for another command on line {lines[first_row]}: "
                 "number the postures in the sequence the machine took",
                 row,
             )
@@ -238,8 +238,8 @@ def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
 def _check_gauges(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     tip = campaign.command[np.arange(len(campaign)), campaign.leg]
 
-    def on_leg(place: Array) -> NDArray[np.bool_]:
-        return (tip - machine.geometry.L < place) & (place < tip)
+    def on_leg(gauge: Array) -> NDArray[np.bool_]:
+        return (tip - machine.geometry.L < gauge) & (gauge < tip)
 
     second_gauges = np.array([s.gauges[-1] for s in campaign.setups])[campaign.setup]
     for column, gauge in (("gauge_mm", campaign.gauge), ("gauge2_mm", second_gauges)):
@@ -347,8 +347,8 @@ def check_given(readings: Readings, machine: MachineFile) -> None:
     """
 
     def fail(message: str, row: int | None = None) -> NoReturn:
-        place = "" if row is None else f", row {row} (counted from 0)"
-        raise InputError(f"{readings.name}{place}: {message} (arrays are in metres and radians)")
+        at_row = "" if row is None else f", row {row} (counted from 0)"
+        raise InputError(f"{readings.name}{at_row}: {message} (arrays are in metres and radians)")
 
     expected = "a campaign, which og.Campaign.from_frame makes of a data frame, or a file's path"
     check_type("the readings", readings, Readings, expected)

@@ -172,12 +172,12 @@ def _check_on_leg(
     geometry: Geometry, gauges: Sequence[tuple[float, ...]], travel: Sequence[float]
 ) -> None:
     """Refuse dials, at fractions of the leg, that it moves past within a travel, metres."""
-    place = geometry.L * np.array([share for shares in gauges for share in shares])
-    if place.min() <= max(travel) or place.max() >= geometry.L + min(travel):
+    gauge = geometry.L * np.array([share for shares in gauges for share in shares])
+    if gauge.min() <= max(travel) or gauge.max() >= geometry.L + min(travel):
         raise InputError(
             f"between travel {compact(min(travel) * 1e3, 6)} and {compact(max(travel) * 1e3, 6)} "
             f"mm a leg of {geometry.L * 1e3:g} mm moves past a dial set between "
-            f"{place.min() * 1e3:.1f} and {place.max() * 1e3:.1f} mm along it: give "
+            f"{gauge.min() * 1e3:.1f} and {gauge.max() * 1e3:.1f} mm along it: give "
             f"a shorter stroke in the machine file"
         )
 

@@ -121,7 +121,7 @@ class Readings:
                 raise InputError(
                     f"{self.name}: two setups are called {name!r}: give each mounting its own name"
                 )
-        n = len(np.asarray(self.reading))
+        n = len(np.atleast_1d(self.reading))
         counted = {"order": np.arange(n), "line": np.arange(n) + 2, "posture": ("",) * n}
         for name, values in counted.items():
             if getattr(self, name) is None:
@@ -298,7 +298,10 @@ class Readings:
             rows: booleans ``(n,)`` or indices.
         """
         kind = bool if np.asarray(rows).dtype == bool else np.int64  # an empty list is of floats
-        chosen = np.arange(len(self))[np.asarray(rows, dtype=kind)]
+        indices = np.atleast_1d(np.asarray(rows, dtype=kind))
+        if indices.ndim > 1 or (kind is bool and len(indices) != len(self)):
+            raise InputError(f"{self.name}: rows are indices, or {len(self)} booleans")
+        chosen = np.arange(len(self))[indices]
         used, setup = np.unique(self.setup[chosen], return_inverse=True)
         arrays = {name: getattr(self, name)[chosen] for name in READING_ARRAYS}
         return replace(

@@ -41,7 +41,7 @@ def from_points(
         InputError: where the arrays do not fit together.
     """
     measured = np.asarray(p, dtype=float)
-    m = len(measured)
+    m = len(np.atleast_1d(measured))
     if measured.shape != (m, 3):
         raise InputError(f"{name}: p must have shape (m, 3), not {measured.shape}")
     try:

@@ -250,8 +250,8 @@ def _insert_moves(rows: list[Row], campaign: Readings, move_rows: Sequence[Row])
     sequence = np.argsort(campaign.order, kind="stable")
     following = np.searchsorted(campaign.order[sequence], moves.order)
     numbered = list(zip(campaign.line.tolist(), rows, strict=True))
-    for k, place in enumerate(np.minimum(following, len(rows) - 1).tolist()):
-        next_row = rows[sequence[place]]
+    for k, reading in enumerate(np.minimum(following, len(rows) - 1).tolist()):
+        next_row = rows[sequence[reading]]
         cells = {name: cell if name in mounting_columns else "" for name, cell in next_row.items()}
         labels = {KIND.name: MOVE, POSTURE.name: MOVE, ORDER.name: str(moves.order[k])}
         numbered.append((int(moves.line[k]), cells | move_rows[k] | labels))

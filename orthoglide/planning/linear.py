@@ -227,6 +227,8 @@ def predicted_problem(
     rated = replace(machine, spec=_with_repeatability(machine.spec))
     # Predictions are exact, so the noise is declared: it cannot be estimated from their repeats.
     sheets = [sheet] if isinstance(sheet, Readings) else sheet
+    if not len(sheets):
+        raise InputError("there are no readings: give at least one table of them")
     predicted = [simulate(machine, readings, exact=True) for readings in sheets]
     for k, readings in enumerate(predicted):
         if readings.of_tool:

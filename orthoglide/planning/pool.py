@@ -68,7 +68,7 @@ def stations(leg: int, geometry: Geometry) -> Stations:
     for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
         label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
         planned.append((label, {leg: travel, axis: side * offset}, 1))
-    p = np.array([[place.get(axis, 0.0) for axis in range(3)] for _, place, _ in planned])
+    p = np.array([[point.get(axis, 0.0) for axis in range(3)] for _, point, _ in planned])
     approach = np.array([float(side) for *_, side in planned])
     rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
     before = rho - approach[:, None] * stroke_overshoot(geometry.stroke)

@@ -112,13 +112,16 @@ def next_measurements(
     if pairs:
         candidates = []
         for name, source in rivals:
-            by_name, own = weights, covariance
+            to_names, unknown_covariance = weights, covariance
             if isinstance(source, Estimate):
-                by_name, own = _parameter_map_and_covariance(source, names, lack_of_fit)
+                to_names, unknown_covariance = _parameter_map_and_covariance(
+                    source, names, lack_of_fit
+                )
             values = source.machine.values if isinstance(source, Estimate) else source
             with suppress(InputError):  # else it is a name for people
                 name = f'"{cause_short(machine.catalogue, name)}"'
-            candidates.append(Rival(name, values, by_name @ own @ by_name.T))
+            name_covariance = to_names @ unknown_covariance @ to_names.T
+            candidates.append(Rival(name, values, name_covariance))
         predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
         suggestions = _suggest_separating(machine, extended, candidates, pairs, count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -76,21 +76,6 @@ class Outcome:
             problems.append(f"claimed {', '.join(self.false)}, which was not there")
         verdict = f" ({self.word})" if problems and self.word else ""
         return f"{'; '.join(problems)}{verdict}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields for JSON, without those that are not a number."""
-        return {k: v for k, v in asdict(self).items() if v == v}
-
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> Outcome:
-        """Return the outcome that such fields describe.
-
-        Raises:
-            TypeError: where something else was kept.
-        """
-        values: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v
-                                  for k, v in fields.items()}  # fmt: skip
-        return cls(**values)
 
 
 @on_one_thread

@@ -53,7 +53,7 @@ class Scope:
     sheets: tuple[Readings, ...]  # rows to be read, of dials and of instruments at the tool
     # beyond zeros and lengths, of effects whose conditions the sheets vary, of instruments too
     parameters: tuple[Parameter, ...]
-    places: tuple[FreeForm, ...]  # free-form errors that the sheets may show
+    free_forms: tuple[FreeForm, ...]  # that the sheets may show
 
     @classmethod
     def of(cls, machine: Machine, *sheets: Readings) -> Scope:
@@ -83,7 +83,7 @@ class DrawnMachine:
 def kind_of_campaign(scope: Scope, number: int) -> Kind:
     """Return what is wrong in a campaign; an effect if the sheets show no free-form error."""
     kind = KIND_SEQUENCE[number % len(KIND_SEQUENCE)]
-    return EFFECT if kind == OUTSIDE and not scope.places else kind
+    return EFFECT if kind == OUTSIDE and not scope.free_forms else kind
 
 
 def draw_machine(scope: Scope, kind: Kind, rng: np.random.Generator) -> DrawnMachine:
@@ -124,16 +124,16 @@ def _draw_free_form_error(
     scope: Scope, kind: Kind, values: dict[str, float], rng: np.random.Generator
 ) -> DrawnMachine:
     """Return a machine with a free-form error that no shape of the catalogue describes."""
-    place = scope.places[int(rng.integers(len(scope.places)))]
+    error = scope.free_forms[int(rng.integers(len(scope.free_forms)))]
     u = np.linspace(-1, 1, 201)
-    functions = np.stack(place.kernel.functions(u), axis=1)
+    functions = np.stack(error.kernel.functions(u), axis=1)
     weights = rng.standard_normal((functions.shape[1],))
     # Level, slope and curvature are removed.
     parabola = np.polynomial.legendre.legvander(u, 2).T @ functions / len(u)
     weights -= np.linalg.pinv(parabola) @ (parabola @ weights)
     size = float(rng.uniform(*FREE_FORM_SIZES))
-    weights *= size * place.prior_sd / np.sqrt(np.mean((functions @ weights) ** 2))
-    effect = place.effect
+    weights *= size * error.prior_sd / np.sqrt(np.mean((functions @ weights) ** 2))
+    effect = error.effect
     values = values | dict(zip(effect.motions, weights.tolist(), strict=True))
     machine = scope.machine.with_effects([effect]).with_only(values)
-    return DrawnMachine(kind, machine, {}, place.name, size, place.words)
+    return DrawnMachine(kind, machine, {}, error.name, size, error.words)

@@ -21,6 +21,7 @@ from orthoglide.planning import sheets_by_kind
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.rehearsal.outcome import Outcome, Rehearsal, run_campaign
 from orthoglide.rehearsal.random_machines import Scope
+from orthoglide.result import decoded, encoded
 
 CAMPAIGNS = 90
 """Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
@@ -164,7 +165,7 @@ class _Journal:
         try:
             stored_request, *records = map(json.loads, complete.decode().splitlines())
             differences = [k for k, v in request.items() if stored_request[k] != v]
-            self.finished = {record["number"]: Outcome.from_dict(record) for record in records}
+            self.finished = {r["number"]: decoded(Outcome, r, {}) for r in records}
         except (ValueError, TypeError, KeyError, AttributeError):
             raise self._unusable("holds no campaigns of a rehearsal") from None
         if differences:
@@ -183,6 +184,6 @@ class _Journal:
 
     def add(self, outcome: Outcome) -> None:
         """Write one more outcome to the file, at once."""
-        line = json.dumps(outcome.as_dict(), allow_nan=False) + "\n"
+        line = json.dumps(encoded(outcome), allow_nan=False) + "\n"
         with as_file_errors(self.path), self.path.open("a", encoding="utf-8") as file:
             file.write(line)

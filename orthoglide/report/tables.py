@@ -13,6 +13,7 @@ import numpy as np
 from orthoglide import __version__
 from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
+from orthoglide.numerals import mm_text
 from orthoglide.observations import Readings
 from orthoglide.observations.columns import native_command_names
 from orthoglide.report.sentences import headline
@@ -57,24 +58,24 @@ def residual_table(result: Result) -> str:
     two_dials = any(setup.observation.dials > 1 for t in tables for setup in t.setups)
     directions = [readings.direction for readings in tables]
     corrected = {
-        place: fault.kind
+        file_and_row: fault.kind
         for fault in result.blunders
-        for place in (() if fault.excluded else fault.rows_in_request)
+        for file_and_row in (() if fault.excluded else fault.rows_in_request)
     }
 
     def cells(file: int, row: int, values: list[str], fault: str = "") -> list[Any]:
         readings = tables[file]
         setup = readings.setups[readings.setup[row]]
         mm, mrad = (empty, values) if setup.observation.angular else (values, empty)
-        place = _reading_cells(readings, row, directions[file][row], two_dials)
+        identity = _reading_cells(readings, row, directions[file][row], two_dials)
         correction = "" if fault else corrected.get((file, row), "")
-        return [*place, *mm, fault, setup.kind, *(mrad if any_turned else ()), correction]
+        return [*identity, *mm, fault, setup.kind, *(mrad if any_turned else ()), correction]
 
     fitted = zip(shown.file.tolist(), shown.row.tolist(), np.column_stack(columns), strict=True)
-    rows = [cells(file, row, [*map(_mm, values)]) for file, row, values in fitted]
+    rows = [cells(file, row, [*map(mm_text, values)]) for file, row, values in fitted]
     for fault in result.blunders:
         for file, row in fault.rows_in_request if fault.excluded else ():
-            values = [_mm(tables[file].reading[row]), *empty[1:]]
+            values = [mm_text(tables[file].reading[row]), *empty[1:]]
             rows.append(cells(file, row, values, fault.kind))
     titles = (
         "campaign", "line", "setup", "leg", "direction", "posture",
@@ -91,19 +92,14 @@ def _reading_cells(readings: Readings, row: int, direction: str, two_dials: bool
     """
     setup = readings.setups[readings.setup[row]]
     name = "" if readings.by_point else setup.name
-    leg, gauge = (LEGS[setup.leg], _mm(setup.gauge)) if setup.leg >= 0 else ("", "")
-    second = [_mm(setup.gauge2) if setup.observation.dials > 1 else ""] if two_dials else []
+    leg, gauge = (LEGS[setup.leg], mm_text(setup.gauge)) if setup.leg >= 0 else ("", "")
+    second = [mm_text(setup.gauge2) if setup.observation.dials > 1 else ""] if two_dials else []
     return [
         readings.name, readings.line[row], name, leg, direction, readings.posture[row],
-        *map(_mm, readings.command[row]), gauge, *second,
+        *map(mm_text, readings.command[row]), gauge, *second,
         "" if readings.by_point else readings.repeat[row],
         readings.order[row] + readings.by_point,
     ]  # fmt: skip
-
-
-def _mm(metres: float) -> str:
-    """Return millimetres, or milliradians, with the digits that are not rounding."""
-    return f"{metres * 1e3:z.6f}"
 
 
 def result_text(result: Result) -> str:
