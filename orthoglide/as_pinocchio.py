@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from orthoglide.arguments import public
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.constraints import Constraints
@@ -46,6 +47,7 @@ class PinocchioModel:
     tool: int
 
 
+@public
 def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     """Return a machine as model, constraint models, visual model and a closed configuration.
 

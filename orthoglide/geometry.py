@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from orthoglide import layout as layouts
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, UnreachableError, as_float_array, check_choice
 
 Array = NDArray[np.float64]
@@ -94,6 +95,7 @@ def fit_plane(points: Array, height: Array) -> tuple[Array, Array]:
     return plane, height - columns @ plane
 
 
+@public
 @dataclass(frozen=True)
 class Geometry:
     """Nominal dimensions, in metres (Pashkevich et al. 2008, section 2.1).

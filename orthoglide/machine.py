@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.arguments import public
 from orthoglide.effects import CATALOGUE, Catalogue, Effect
 from orthoglide.errors import ClosureError, InputError, UnreachableError, as_path, check_type
 from orthoglide.files import write_file
@@ -32,6 +33,7 @@ from orthoglide.prediction import Conditions, Model
 from orthoglide.scene import Posed, drawing
 
 
+@public
 @dataclass(frozen=True)
 class Machine:
     """One machine: its dimensions, tolerances and identified parameters. Immutable.

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from orthoglide.accuracy import wanted_points
+from orthoglide.arguments import public
 from orthoglide.errors import ClosureError, check_integer, check_type
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise import check_noise, instrument_of
@@ -34,6 +35,7 @@ _MIXED_POINTS = 4  # points of the workspace between which a point is drawn
 _DATUM_RANGE = 1e-3  # metres or radians: where an instrument's zero, or its frame, may lie
 
 
+@public
 def simulate(
     machine: MachineSource,
     sheet: Readings | ProtocolName = "standard",
@@ -143,6 +145,7 @@ def _nuisance_sigmas(factor: Factor) -> Array:
     return sigmas
 
 
+@public
 def simulate_tcp(machine: MachineSource, count: int = TCP_POINTS, *, seed: Seed = 0) -> Readings:
     """Return exact TCP points at commands drawn over the workspace, in the middle of any dead band.
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, as_float_array, check_integer
 from orthoglide.geometry import Array, vectors
 from orthoglide.machine import Machine, MachineSource
@@ -36,6 +37,7 @@ class CubeTransmission:
     within_stroke: bool
 
 
+@public
 def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
     """Return the velocity transmission factors at points, the largest first.
 
@@ -53,6 +55,7 @@ def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
     return np.asarray(np.linalg.svd(machine.jacobian(machine.inverse(p)), compute_uv=False))
 
 
+@public
 def transmission_over_cube(
     machine: MachineSource | None, side: float, centre: ArrayLike = (0.0, 0.0, 0.0), count: int = 9
 ) -> CubeTransmission:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from orthoglide.arguments import public
 from orthoglide.effects import Effect
 from orthoglide.errors import as_path, check_list
 from orthoglide.fit import points_of, read_tables, readings_of
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from orthoglide.figures.style import Drawing
 
 
+@public
 class Verdict(Result):
     """A result that writes its report and draws its figures; returned by :func:`close_loop`."""
 
@@ -81,6 +83,7 @@ class Verdict(Result):
         return f'<div style="max-width: 30rem">{self.picture.svg()}</div>{table}'
 
 
+@public
 def close_loop(
     campaigns: ReadingsOrPath | Sequence[ReadingsOrPath],
     machine: MachineSource | None = None,

@@ -18,6 +18,7 @@ LONGEST_FUNCTION = 60
 LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"notes", "ordering", "parameters", "progress", "text", "threads", "units"}),
     frozenset({"errors"}),
+    frozenset({"arguments"}),
     frozenset({"add_ons", "layout"}),
     frozenset({"geometry", "files", "foreign", "frames", "numerals"}),
     frozenset({"reduction", "urdf", "effects", "scene"}),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from inspect import isfunction, signature
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,54 @@ def test_misspelt_options(call: Callable[[], Any], words: str) -> None:
 )  # fmt: skip
 def test_what_is_of_another_type(call: Callable[[], Any], words: str) -> None:
     refused(call, words)
+
+
+FUNCTIONS = [n for n in og.__all__ if isfunction(getattr(og, n)) and n != "once"]  # used later
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_refuses_what_is_no_argument(name: str) -> None:
+    """What nothing can be done with, in the place of all that must be given, or of the first."""
+    every = signature(getattr(og, name)).parameters.values()
+    needed = [p for p in every if p.default is p.empty] or list(every)[:1]
+    refused(
+        lambda: getattr(og, name)(**{p.name: object() for p in needed}),
+        "object|numbers|with readings",
+    )
+
+
+@cases(
+    ("a sheet", lambda: og.smallest_effects(WORN, None), "campaign must be Readings .*not None"),
+    ("no sheet", lambda: og.smallest_effects(WORN, []), "there are no readings"),
+    ("a number's name", lambda: WORN.with_parameters({1: 2}), r"Mapping\[str, float\], not {1: 2}"),
+    ("sigmas by number", lambda: WORN.with_parameters({}, {1: 2}), "given of 1"),
+    (
+        "a kind",
+        lambda: og.protocol(np.zeros(3)),
+        "kind must be one of standard, sweep, .*, not array",
+    ),
+    ("a tolerance", lambda: WORN.tolerance(None), "name must be str, not None"),
+    ("readings", lambda: WORN.readings(None), "given must be Readings, not None"),
+    ("a switch", lambda: WORN.save("x.toml", overwrite=np.zeros(3)), "overwrite must be bool"),
+    ("a gauge", lambda: og.Setup("s", 0, 1, gauge=None), "gauge must be float, not None"),
+    ("labels", lambda: replace(DIALS, posture=5), "posture must be tuple"),
+    ("rows", lambda: DIALS.subset([[0, 1], [2, 3]]), "rows are indices, or 54 booleans"),
+    ("reading", lambda: DIALS.with_readings(1.0), "setup must have shape"),
+    ("a point", lambda: og.Readings.from_points(ZERO, 1.0), r"p must have shape \(m, 3\)"),
+    ("a layout", lambda: og.Geometry(layout=None), "layout must be layouts.Layout, not None"),
+    ("used later", lambda: og.MachineFile(dial=3), "dial must be Dial, not 3"),
+    ("a value later", lambda: og.MachineFile(parameters={"a": 1.0}), "parameters must be Mapping"),
+)
+def test_arguments_are_what_their_annotations_say(call: Callable[[], Any], words: str) -> None:
+    refused(call, words)
+
+
+def test_what_a_user_passes_in_may_fail_by_itself() -> None:
+    """An error of a function that somebody gave is theirs, and no argument is to blame."""
+    with pytest.raises(ZeroDivisionError):
+        DIALS.which(lambda setup: 1 / 0)
+    with pytest.raises(TypeError, match="unexpected keyword"):
+        og.protocol("standard", machine=WORN)  # type: ignore[call-arg]
 
 
 @cases(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
@@ -128,6 +129,7 @@ class Check(Framed):
         return "\n".join(self.sentences)
 
 
+@public
 @on_one_thread
 def check(
     old: State | Verdict,

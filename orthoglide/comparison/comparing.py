@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from orthoglide import reduction
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, NumericsError, check_integer, check_list
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine, MachineSource
@@ -253,6 +254,7 @@ def _least_squares(residual: Callable[[Array], Array]) -> Array:
     return np.asarray(fit.x)
 
 
+@public
 def compare_effects(
     machine: MachineSource | None = None,
     names: Iterable[str] | None = None,
@@ -287,6 +289,7 @@ def compare_effects(
     return tuple(rows)
 
 
+@public
 def compare_machine(machine: MachineSource, points: int = POINTS) -> tuple[Row, ...]:
     """Return rows for a calibrated machine: all of its parameters together, then each alone.
 

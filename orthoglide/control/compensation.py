@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.accuracy import output_sigmas, tcp_slopes
+from orthoglide.arguments import public
 from orthoglide.control.zero_checks import checked_for_use
 from orthoglide.errors import ClosureError, InputError, UnreachableError, as_float_array
 from orthoglide.frames import Framed
@@ -183,6 +184,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@public
 def compensate(
     machine: MachineSource,
     points: ArrayLike,
@@ -349,6 +351,7 @@ class PathPoints:
     warnings: tuple[Note, ...]  # what was noticed and is no error
 
 
+@public
 def read_path(path: str | os.PathLike[str]) -> PathPoints:
     """Return a path of TCP points: columns ``p_x_mm``, ``p_y_mm``, ``p_z_mm``, rows in their order.
 

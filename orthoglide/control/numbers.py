@@ -11,6 +11,7 @@ import numpy as np
 
 from orthoglide.accuracy import ExpectedError, expected_error, tool_settings
 from orthoglide.add_ons import Paste
+from orthoglide.arguments import public
 from orthoglide.control.zero_checks import ZeroCheck, check_zeros, checked_for_use
 from orthoglide.effects import DRIVE_ENTRIES
 from orthoglide.frames import Framed
@@ -296,6 +297,7 @@ class ControllerNumbers(Framed):
         )
 
 
+@public
 def controller_numbers(
     machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> ControllerNumbers:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+from orthoglide.arguments import public
 from orthoglide.control.numbers import controller_numbers
 from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import grouped_by_effect
@@ -26,6 +27,7 @@ _PROBE = 1e-2  # metres of travel over which a path's slope is taken; paths held
 _LATERAL = ("lateral_b", "lateral_c")
 
 
+@public
 def export_files(
     machine: MachineSource, *, zeros_only: bool = False, force: bool = False
 ) -> dict[str, str]:
@@ -63,6 +65,7 @@ def export_files(
     }
 
 
+@public
 def calibrated_urdf(machine: MachineSource) -> str:
     """Return the URDF of a calibrated machine; joints and links are those of the nominal one.
 
@@ -105,6 +108,7 @@ def calibrated_urdf(machine: MachineSource) -> str:
     return f'<?xml version="1.0"?>\n<!-- {_comment(machine)} -->\n{body}\n'
 
 
+@public
 def calibrated_mjcf(machine: MachineSource) -> str:
     """Return the MJCF of a calibrated machine, its loops closed by equality constraints.
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
+from orthoglide.arguments import public
 from orthoglide.effects.motions import (
     LATERAL_KEYS,
     NO_MOTIONS,
@@ -40,6 +41,7 @@ DRIVE_ENTRIES: tuple[ControllerEntry, ...] = ("zero", "scale", "backlash", "bar_
 """Numbers that a controller of three drives has; only firmware has the places of towers."""
 
 
+@public
 @dataclass(frozen=True, repr=False)
 class Effect:
     """A physical cause with its parameters, one entry of the catalogue.

@@ -8,6 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from orthoglide.arguments import public
+
 Condition = Literal["approach", "time", "temperature", "load", "pitch"]
 LATERAL_KEYS = ("@b", "@c")  # stand for the names that a layout gives a leg's axes b and c
 
@@ -112,6 +114,7 @@ def exp(value: Any) -> Any:
     return value.exp() if hasattr(value, "exp") else np.exp(value)
 
 
+@public
 @dataclass(frozen=True)
 class Motion:
     """One virtual joint moved by one parameter.
@@ -148,6 +151,7 @@ NO_MOTIONS = _SameForEachLeg(())
 """Members of an effect that moves no virtual joint."""
 
 
+@public
 def once(*motions: Motion) -> Members:
     """Return the members of an effect that has one parameter a leg.
 
@@ -157,6 +161,7 @@ def once(*motions: Motion) -> Members:
     return _SameForEachLeg((("", motions),))
 
 
+@public
 def sideways(make: Callable[[str, int], tuple[Motion, ...]]) -> Members:
     """Return the members of an effect with one parameter for each axis j across the leg.
 

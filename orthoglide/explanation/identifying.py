@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, check_choice
 from orthoglide.explanation.assumed_noise import check_scatter, with_refuted_noise_enlarged
 from orthoglide.explanation.credible_faults import credible_faults
@@ -31,6 +32,7 @@ _EXACT_SIGMA = 1e-2  # sd of an exact posture, in units of the noise: weights it
 Weighting = Literal["readings", "deviations"]
 
 
+@public
 @on_one_thread
 def identify(
     campaigns: ReadingsOrPath | Sequence[ReadingsOrPath],

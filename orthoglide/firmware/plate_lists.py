@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide import files
+from orthoglide.arguments import public
 from orthoglide.errors import FileError
 from orthoglide.firmware.imported import (
     Imported,
@@ -39,6 +40,7 @@ _MAX_OFF_PLANE = 3.0  # millimetres from a plane, more than on a delta before it
 _MAX_LINES_NAMED, _MAX_CHARACTERS = 5, 40  # lines that a note names, and characters of one
 
 
+@public
 def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imported:
     """Read lists of touches of a plate as readings of a machine.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.errors import check_choice
 from orthoglide.fit.least_squares import (
     Linearised,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from orthoglide.figures.style import Drawing
 
 
+@public
 @dataclass(frozen=True)
 class Estimate(Framed):
     """Result of :func:`~orthoglide.identify`.

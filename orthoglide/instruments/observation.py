@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.arguments import public
 from orthoglide.effects import Effect
 from orthoglide.errors import InputError, check_choice
 from orthoglide.geometry import LEGS, Array, Geometry
@@ -115,6 +116,7 @@ OBSERVATIONS: dict[str, Observation] = {}
 """All kinds of readings by their name in files; each subclass of `Observation` registers itself."""
 
 
+@public
 @dataclass(frozen=True)
 class Setup:
     """One mounting of one instrument; by default of a dial on a leg.

@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError
 from orthoglide.layout.leg import Array, Layout, Leg, LegNames, Triple, triple
 from orthoglide.parameters import MEMBERS
@@ -25,6 +26,7 @@ _PARALLEL_TOLERANCE = 1e-9
 _SLIDE_END_WORDS = (("back", "backward along the slide"), ("on", "onward along the slide"))
 
 
+@public
 @dataclass(frozen=True)
 class FreeLeg:
     """One leg at mechanical zero, in the base frame, the tool at the origin.
@@ -77,6 +79,7 @@ class FreeLeg:
         return np.stack([a, np.cross(c, a), c], axis=1)
 
 
+@public
 @dataclass(frozen=True)
 class FreeLegs(Layout):
     """Legs wherever they are; commands are travel from mechanical zero along the slides.

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, as_float_array
 from orthoglide.layout.leg import Array, Layout, Leg, LegNames, Triple, triple
 
@@ -29,6 +30,7 @@ _FLATTEST = float(np.sin(np.deg2rad(15.0)))
 and errors of some millimetres make them too short."""
 
 
+@public
 @dataclass(frozen=True)
 class LinearDelta(Layout):
     """Towers along z around a plate; commands are travel from mechanical zero, up.

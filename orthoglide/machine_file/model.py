@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from orthoglide.add_ons import MARK_KEY, Printer, add_on, firmware_table
+from orthoglide.arguments import public
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
 from orthoglide.geometry import Array, Geometry
@@ -24,6 +25,7 @@ SCHEMA_VERSION = 1
 """Version of the machine file that this package reads and writes."""
 
 
+@public
 @dataclass(frozen=True)
 class Instrument:
     """Accuracy of an instrument, metres (radians of a level).
@@ -37,6 +39,7 @@ class Instrument:
     repeatability: float | None = None
 
 
+@public
 @dataclass(frozen=True)
 class Dial(Instrument):
     """Accuracy of the dial on the legs, metres.
@@ -196,6 +199,7 @@ class Measured:
             yield catalogue[name].parameters(), value, covariance
 
 
+@public
 @dataclass(frozen=True)
 class MachineFile:
     """Content of a machine file, SI; the Orthoglide of the 2008 chapter by default.

@@ -14,6 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg.lapack import dgesv
 
+from orthoglide.arguments import public
 from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
 from orthoglide.geometry import Array, Geometry, Mode
 from orthoglide.mechanism.constraints import Constraints, Mobility, mobility
@@ -47,6 +48,7 @@ class Posture:
     iterations: int
 
 
+@public
 class Mechanism:
     """A machine with closed loops: a Pinocchio model and its constraint models.
 

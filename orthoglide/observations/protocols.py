@@ -12,6 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, check_choice, check_type
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.instruments import Parallelism, Setup
@@ -69,6 +70,7 @@ def require_dial_layout(geometry: Geometry) -> None:
         )
 
 
+@public
 def protocol(kind: ProtocolName, geometry: Geometry | None = None) -> Readings:
     """Return a campaign without readings, to be measured in its order.
 

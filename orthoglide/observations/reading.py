@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.arguments import public
 from orthoglide.errors import FileError
 from orthoglide.foreign import refuse_foreign
 from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
@@ -64,6 +65,7 @@ ReadingsOrPath = Readings | str | os.PathLike[str]
 """Readings, or the path of their file."""
 
 
+@public
 def read_campaign(
     path: str | os.PathLike[str],
     machine_file: AnyMachine | None = None,
@@ -94,6 +96,7 @@ def read_campaign(
         raise
 
 
+@public
 def read_readings(
     path: str | os.PathLike[str],
     machine_file: AnyMachine | None = None,
@@ -116,6 +119,7 @@ def read_readings(
     return split_legs_and_tool(read_campaign(path, machine_file, require_readings))
 
 
+@public
 def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:
     """Read a file with a row for each measured position of the tool.
 
@@ -160,6 +164,7 @@ def readings_from_rows(
     return replace(readings_of_table(table, name, machine_file), file=file)
 
 
+@public
 def readings_from_frame(
     df: Any,
     *,

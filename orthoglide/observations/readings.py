@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError
 from orthoglide.frames import html_table
 from orthoglide.geometry import LEGS, Array
@@ -44,6 +45,7 @@ class Points:
     line: Ints  # line in the file (m,)
 
 
+@public
 @dataclass(frozen=True, eq=False)
 class Readings:
     """Readings of one file or several, of any kinds, with a setup each.

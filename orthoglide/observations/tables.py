@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from orthoglide.arguments import public
 from orthoglide.errors import InputError
 from orthoglide.instruments import Coordinate, Setup
 from orthoglide.observations.approach import Moves
@@ -16,6 +17,7 @@ from orthoglide.observations.arrays import READING_ARRAYS
 from orthoglide.observations.readings import Readings
 
 
+@public
 def from_points(
     command: ArrayLike,
     p: ArrayLike,
@@ -69,6 +71,7 @@ def from_points(
 Readings.from_points = staticmethod(from_points)
 
 
+@public
 def concatenated(several: Sequence[Readings]) -> Readings:
     """Return one table of several, whose sequences follow each other, named as the first.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide import files, text as texts
+from orthoglide.arguments import public
 from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
@@ -258,6 +259,7 @@ def _insert_moves(rows: list[Row], campaign: Readings, move_rows: Sequence[Row])
     return [row for _, row in sorted(numbered, key=lambda entry: entry[0])]
 
 
+@public
 def write_campaign(
     campaign: Readings | Sequence[Readings],
     path: str | os.PathLike[str],
@@ -285,6 +287,7 @@ def write_campaign(
     files.write_file(path, campaign_text(campaign, machine_file), overwrite=overwrite)
 
 
+@public
 def readings_frame(campaign: Readings, machine_file: AnyMachine | None = None) -> pd.DataFrame:
     """Return the rows of a file of readings as a data frame, which ``from_frame`` reads.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orthoglide.accuracy import tcp_slopes, without_translation, workspace_grid
+from orthoglide.arguments import public
 from orthoglide.errors import InputError, check_list
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
@@ -152,6 +153,7 @@ class Design:
         return self.campaign._repr_html_()
 
 
+@public
 @on_one_thread
 def design(
     machine: MachineSource,
@@ -237,6 +239,7 @@ class Repeats:
         return f"{request} takes {self.repeats} {visits} to every station, which gives {sigma:.3g}"
 
 
+@public
 def repeats_needed(
     machine: MachineSource,
     campaign: Readings,

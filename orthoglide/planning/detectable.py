@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from orthoglide.arguments import public
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_integer, check_list
@@ -119,6 +120,7 @@ def detectable_rows(sheet: Detectability) -> list[str]:
     return lines
 
 
+@public
 def smallest_effects(
     machine: MachineSource,
     campaign: Readings | Sequence[Readings],

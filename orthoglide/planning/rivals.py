@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from orthoglide.accuracy import without_translation, workspace_grid
+from orthoglide.arguments import public
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError, check_type
 from orthoglide.explanation import FullPosterior
@@ -71,6 +72,7 @@ def _parameter_map_and_covariance(
     return weights, np.linalg.inv(information * unit / lack_of_fit**2) * unit
 
 
+@public
 def next_measurements(
     fit: Estimate,
     rivals: Sequence[tuple[str, Values | Estimate]] = (),

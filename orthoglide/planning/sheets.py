@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from orthoglide.arguments import public
 from orthoglide.errors import UnreachableError, check_choice, check_list
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, Observation
@@ -39,6 +40,7 @@ def sheets_by_kind(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings
     return sheets | {sheet.name: sheet for sheet in of_tool}
 
 
+@public
 @on_one_thread
 def tool_sheets(machine: MachineSource, kinds: Sequence[str]) -> list[Readings]:
     """Return sheets of instruments at the tool to be filled in, one after the other.

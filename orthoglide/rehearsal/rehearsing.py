@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 from orthoglide import __version__
+from orthoglide.arguments import public
 from orthoglide.errors import FileError, InputError, NumericsError, check_integer
 from orthoglide.files import as_file_errors, read_bytes, sha256, write_file
 from orthoglide.instruments import LegDial, PlateTouch
@@ -27,6 +28,7 @@ CAMPAIGNS = 90
 """Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
 
 
+@public
 def rehearse(
     machine: MachineSource | None = None,
     sheet: Readings | str | os.PathLike[str] | None = None,

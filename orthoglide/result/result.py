@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from orthoglide import __version__
 from orthoglide.add_ons import Corrections, Section
+from orthoglide.arguments import public
 from orthoglide.control import ControllerNumbers
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import FileError, as_path
@@ -225,6 +226,7 @@ class Result(Judged, Framed):
     _index = "parameter"
 
     @classmethod
+    @public
     def load(cls, path: str | os.PathLike[str], effects: Sequence[Effect] = ()) -> Self:
         """Return the result of an earlier run.
 

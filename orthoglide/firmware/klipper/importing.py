@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from orthoglide.add_ons import MARK_KEY
+from orthoglide.arguments import public
 from orthoglide.effects import catalogue_of
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.imported import Imported, Row, campaign_of_rows, note_few_touches
@@ -44,6 +45,7 @@ _UNFITTED_RADIUS_SD = 3e-3  # metres: standard deviation of a radius that no cal
 _UNREPEATED_NOTES = ("line", "mesh", "readings", "rods")  # kinds of notes that no result repeats
 
 
+@public
 def import_printer(
     path: str | os.PathLike[str], turned: Mapping[str, float] | None = None
 ) -> Imported:
