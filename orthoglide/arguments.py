@@ -89,7 +89,7 @@ class _Numbers:
     """Stands for what numpy takes as an array of numbers."""
 
 
-_MOST_CHECKED = 10  # items of a collection: a list of another kind begins with a wrong one
+_MOST_CHECKED = 2  # items of a collection: a list of another kind begins with a wrong one
 
 
 @cache
@@ -102,11 +102,17 @@ def _accepted(kind: Any) -> Any:
     return wider.get(kind, sequences if kind in (*sequences, tuple, list) else kind)
 
 
+@cache
+def _parts(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return the type without its arguments, and these."""
+    return get_origin(hint) or hint, get_args(hint)
+
+
 def _is_of_type(value: Any, hint: Any) -> bool:
     """Return whether a value may be given where a type is asked for: any list but a text for a
     sequence, and anything with the numbers of an array for an array.
     """
-    kind, parts = get_origin(hint) or hint, get_args(hint)
+    kind, parts = _parts(hint)
     if kind in (Union, UnionType):
         return any(_is_of_type(value, part) for part in parts)
     if kind is Literal:
