@@ -367,5 +367,5 @@ def test_a_level_that_means_something_else(mistake: str, said: str) -> None:
         assert "mount_tilt.b.b" in {n for c in verdict.effects for e in c.explanations
                                     for n in e.parameters}  # fmt: skip
         return
-    with pytest.raises(InputError, match=f"far likelier machine, and fit it, .*{said}"):
+    with pytest.raises(InputError, match=f"of the level are far likelier .*{said}"):
         close_loop(spoilt, nominal())

@@ -240,19 +240,19 @@ def test_travel_that_is_counted_down_is_told() -> None:
     ("factors", "remedy"),
     [
         ((1, -1, 1), "the other way by b they fit a plane to 0.00N mm: set sign = [1, -1, 1]"),
-        ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at the microsteps"),
+        ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at microsteps"),
         ((0.1, 0.1, 0.1), "multiplied by 10 they fit a plane to 0.00N mm: look at"),
         ((0.625,) * 3, "multiplied by 1.6 they fit a plane to 0.00N mm: look at"),
         ((0.75,) * 3, "multiplied by 1.333 they fit a plane to 0.00N mm: look at"),
         (
             (1e-3,) * 3,
             "the heights are of places within 0.09 mm; with travel multiplied by 1000 they fit a "
-            "plane to 0.00N mm: look at the microsteps and at the unit of travel",
+            "plane to 0.00N mm: look at microsteps, pulleys and the unit of travel",
         ),
         (
             (-0.5, -0.5, -0.5),
             "counted the other way and multiplied by 2 they fit a plane to 0.00N mm: set sign = "
-            "[-1, -1, -1] under [controller]; look at the microsteps",
+            "[-1, -1, -1] under [controller]; look at microsteps",
         ),
     ],
 )

@@ -19,6 +19,7 @@ from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.machine import Machine
+from orthoglide.observations.touched_plates import disagreements
 from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -108,7 +109,7 @@ def test_an_endstop_that_moved_between_two_meshes_is_told(
         (lambda table: table[:, ::-1], "mirrored in x"),
         (lambda table: table[::-1], "mirrored in y"),
         # At seven touches the same as turned by a quarter.
-        (lambda table: table.T, "turned by 90 degrees"),
+        (lambda table: table.T, "turned by 270 degrees"),
         (lambda table: table[::-1, ::-1], "turned by 180 degrees"),
         (lambda table: table, ""),
     ],
@@ -128,8 +129,31 @@ def test_a_mesh_in_another_order_of_rows_is_told(
     found = [str(note) for note in imported(tmp_path, text).apart]
     assert bool(found) == bool(told)
     for note in found:
-        (ways,) = re.findall(r"0\.0\d\d mm if .* mirrored or turned, such as (.*)\. Correct", note)
+        (ways,) = re.findall(r"0\.0\d\d mm if \S+\.csv is (.*)\. Correct", note)
         assert told in ways.split(" or ")
+
+
+@pytest.mark.parametrize("counts", [(9, 21), (21, 9)])
+def test_a_turned_plate_is_told_with_its_turn_whichever_list_is_longer(
+    counts: tuple[int, int],
+) -> None:
+    """The second plate is the first, turned by 90 degrees counter-clockwise."""
+
+    def touches(name: str, count: int, height: Callable[[Any, Any], Any]) -> og.Readings:
+        line = np.linspace(-0.08, 0.08, count)
+        x, y = (v.ravel() for v in np.meshgrid(line, line))
+        places, setup = np.stack([x, y, 0 * x], axis=1), og.Setup(name, -1, -1, kind="plate")
+        return og.Readings(name, (setup,), np.zeros(len(x), dtype=int), places, -height(x, y))
+
+    def height(x: Any, y: Any) -> Any:
+        return 2e-4 * np.sin(40 * x) + 1e-4 * np.sin(60 * y + 1)
+
+    first = touches("first", counts[0], height)
+    second = touches("second", counts[1], lambda x, y: height(y, -x))
+    controller: Any = SimpleNamespace(places=lambda command: command)
+    ((*names, note),) = disagreements(controller, (first, second), relative=False)
+    assert names == ["second", "first"]
+    assert "if second.csv is turned by 90 degrees. Correct" in note
 
 
 def test_a_noisy_probe_moves_no_endstop(tmp_path: Path) -> None:

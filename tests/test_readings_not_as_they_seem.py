@@ -103,7 +103,7 @@ def test_two_dials_with_each_others_label_are_no_exchange_of_commands(draw: int)
 def test_one_dial_does_not_tell_whose_columns_were_exchanged() -> None:
     whole = rig()
     one = whole.subset(whole.setup == 0)
-    with pytest.raises(InputError, match="in another order of drives, which they cannot tell"):
+    with pytest.raises(InputError, match="do not show which"):
         og.identify(replace(one, command=one.command[:, [1, 0, 2]]), MACHINE)
 
 

@@ -22,18 +22,17 @@ from orthoglide.layout import LegNames
 
 _UM = 1e-6
 
-
-_SHALLOW = 20.0
-"""Least width of a step of a calibrated machine, in prior standard deviations of its height: twice
-the largest slab, so that every position of a carriage belongs to one command."""
+_MIN_STEP_WIDTH = 20.0
+"""Least width of a step of a calibrated machine, in prior standard deviations of its height. An
+active step has 10 at most, so the carriage still moves on as the command does."""
 
 
 def jumping(form: FreeForm) -> tuple[FreeForm, ...]:
     """Return the errors that jump, at a moment or at a place of the travel, if a free-form error
     may; a place where a drive steps may be passed in both directions or in one.
 
-    One bar snaps, one drive loses steps, or its scale is joined of two pieces; several parts do not
-    jump at the same moment, and no scale does.
+    One bar snaps, one drive loses steps, or its linear encoder is joined of two pieces; several
+    parts do not jump at the same moment, and no screw changes its pitch at once.
     """
     if form.against == "time":
         single_part = form.leg >= 0 and (form.part == "drive" or bool(form.direction))
@@ -42,19 +41,19 @@ def jumping(form: FreeForm) -> tuple[FreeForm, ...]:
         return ()
     if form.against == "travel":
         return (form,)
-    # As high as a step that is passed in both directions; one way or the other is half as frequent.
+    # As high as a step that is passed in both directions, and a quarter as frequent each way.
     sd, chance = 2 * form.prior_sd, 0.25
     return tuple(replace(form, side=side, prior_sd=sd, chance=chance) for side in (1, -1))
 
 
 def with_jump(form: FreeForm, jump: Range, stroke: Range) -> FreeForm:
-    """Return a free-form error with a jump between two moments or travels instead of a slow change.
+    """Return a free-form error with a jump between two moments or travels in place of its curve.
 
     ``stroke``: first and last travel, metres.
     """
     start, end = form.interval(stroke)
     low, high = (2 * (at - start) / (end - start) - 1 for at in jump)
-    least = None if form.against == "time" else 2 * _SHALLOW * form.prior_sd / (end - start)
+    least = None if form.against == "time" else 2 * _MIN_STEP_WIDTH * form.prior_sd / (end - start)
     return replace(form, kernel=Step(low, high, least), jump=jump)
 
 

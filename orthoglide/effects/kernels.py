@@ -23,7 +23,10 @@ _INTERVAL_RATIO = 1.25
 
 @dataclass(frozen=True)
 class Kernel:
-    """A Gaussian process of unit variance over [-1, 1]."""
+    """A Gaussian process over [-1, 1], of about unit variance inside and less at the ends.
+
+    A line, and a start at zero, come on top of that.
+    """
 
     length: float  # correlation length, over half the variable's range
     waves: int  # number of eigenfunctions
@@ -52,7 +55,9 @@ class Kernel:
         return np.asarray(np.sqrt(density / _INTERVAL_RATIO))
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
-        """Eigenfunctions of a variable in [-1, 1], each times its weight."""
+        """Eigenfunctions of a variable in [-1, 1], each times its weight, and the line, less their
+        values at the start if they are zero there.
+        """
         values = self._functions_with_level(u, which)
         if not self.from_zero:
             return values
@@ -93,11 +98,11 @@ class Bump:
 
 @dataclass(frozen=True)
 class Step:
-    """A step of unit height somewhere between two values of the variable, which no reading has: its
-    mean over that interval, a straight line.
+    """A step of unit height whose place between two values of the variable is unknown: its mean, a
+    straight line between them.
 
-    A step along the travel has its deviation from that line as one more function, which no reading
-    shows: the first eigenfunction of a Brownian bridge, with all of its mean variance.
+    A step along the travel has one more function, its deviation from that line, which no reading
+    shows: the first eigenfunction of a Brownian bridge, scaled to the bridge's mean variance, 1/6.
     """
 
     start: float  # within [-1, 1]
@@ -142,24 +147,26 @@ class BuildUp:
         return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]
 
 
-LENGTH = 0.08  # metres: half of the stroke at which the lengths below were written
+LENGTH = 0.08  # metres: half of the stroke for which the lengths below hold; they scale with it
 FINE, COARSE = Kernel(0.030 / LENGTH, 12), Kernel(0.050 / LENGTH, 8)
 FINE_AND_LINE = replace(FINE, line=True)
-# A coupling slips, an encoder misses a count, a carriage sticks and jumps: down to 2 mm.
+# A coupling slips, an encoder misses a count, a carriage sticks and jumps. Half-waves of 96
+# functions are 2 mm long; lost motion changes within 8 mm.
 DRIVE, LOST = Kernel(0.030 / LENGTH, 96, rough=0.1), Kernel(0.030 / LENGTH, 24, rough=0.1)
 # Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
 SCREW = Kernel(0.003 / LENGTH, 96)
 ACROSS = Kernel(0.050 / LENGTH, 8, line=True)
-# Most couplings are proportional: a free function pays for shapes that they do not have.
+# Most drives that follow another's command do so in proportion, for which a free function is too
+# wide.
 LINE = Kernel(1.0, 0, line=True)
 # Warmth comes and goes slowly, and begins at once. The machine is that of the session's start: with
-# the mean change in it, other causes seem active. Half of the functions leave a part to a dial.
+# the mean change in it, other causes seem active. With 12 functions a dial took a part of a drift.
 DRIFT = Kernel(0.5, 24, rough=0.1, from_zero=True)
 STEADY = replace(LINE, from_zero=True)
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
 # stroke. On a stroke of less than three such waves the kernels above describe them as well.
 _SHORT, SHORT_FROM = 0.015, 1.5 * LENGTH
-_PER_LENGTH, _MOST = 5, 96  # functions of half a stroke as long as a correlation length; in all
+_PER_LENGTH, _MOST = 5, 96  # functions for each correlation length in half a stroke; in all
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 
 

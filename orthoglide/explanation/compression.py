@@ -43,7 +43,7 @@ class MergedRows:
     """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once.
 
     Blocks are not copied into one array, which would need as much memory again. Those of readings
-    that are not ranked have single precision: its rounding is below ``_ROUNDING``.
+    that are not ranked have single precision: the square of its rounding is below ``_ROUNDING``.
     """
 
     # columns by distinct row, and the index of each row among these (n,); parameters come first
@@ -81,8 +81,9 @@ class MergedRows:
         return np.cumsum([block.shape[1] for block, _ in self.blocks])
 
     def reduced_to(self, columns: NDArray[np.intp]) -> MergedRows:
-        """Return the matrix without the blocks that have none of some columns, which saves memory;
-        blocks that are left out are without rows.
+        """Return the matrix without the blocks that have none of some columns, which saves memory.
+
+        All columns keep their numbers; only those of the blocks that stay may be read.
         """
         kept = np.isin(np.arange(self._ends[-1]), columns)
         blocks = [
@@ -153,10 +154,10 @@ class WhitenedReadings:
 def compress_readings(
     nuisance: Nuisances, rows: MergedRows, residual: Array
 ) -> tuple[Array, Array, Array, StationRemainder]:
-    """Return columns and residual in their own directions.
+    """Return columns and residual in orthonormal directions of the readings.
 
     Args:
-        nuisance: of the fit, with the weighing that whitens, equal where rows are.
+        nuisance: of the fit, with the weighing that whitens, constant over equal rows.
         rows: columns ``(n, C)``, metres.
         residual: of the readings ``(n,)``, metres.
 

@@ -59,7 +59,7 @@ def likeliest_misreading(
 
     Args:
         base: fit to the readings as they stand.
-        posterior: its posterior, which may have corrected commands that a misreading explains.
+        posterior: its posterior, which may take for wrong commands what is a misreading.
         alternatives: to be compared.
         rows_by_setup: rows of their setups, in the order they were taken.
         other_evidence: log evidence of another explanation of the readings.
@@ -67,14 +67,14 @@ def likeliest_misreading(
             that are active in the readings as they stand.
     """
     best: tuple[float, Fault | None]
-    # Decisively, as the prior probability of a misreading is a guess.
+    # By a clear margin, as the prior probability of a misreading is a guess.
     best = max(posterior.evidence, other_evidence) + TWENTY_TO_ONE, None
     least = max(other_evidence - posterior.evidence, 0.0)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
     ):
-        # A search finds more to explain in the readings as they stand, where a misreading is left,
-        # than in those with it corrected: the ranked odds are hardly ever exceeded by the final.
+        # A search of the corrected readings seldom raises the odds: it finds more to explain in the
+        # readings as they stand. So alternatives that are far behind are not searched.
         if posterior.evidence + log_odds + TWENTY_TO_ONE < best[0]:
             continue
         try:
@@ -117,9 +117,7 @@ def check_levels(estimate: Estimate) -> None:
         files = [source(f.readings) for f in problem.factors for _ in f.readings.setups]
         names = "; ".join(f"{files[s]}, setup {problem.setups[s].name!r}" for s in setups)
         clause = next(clause for clause, fault in readings.items() if fault is found)
-        raise InputError(
-            f"{names}: the readings of the level have a far likelier machine, and fit it, {clause}"
-        )
+        raise InputError(f"{names}: the readings of the level are far likelier {clause}")
 
 
 def _rank(
@@ -129,9 +127,9 @@ def _rank(
     background_scales: Sequence[Scales],
     least: float,
 ) -> list[tuple[float, Fault]]:
-    """Return the alternative readings whose log odds against the readings as they stand exceed the
-    least ones, each after its log odds: the likeliest on a machine with some of the groups that are
-    active in the readings as they stand, and then the likeliest on a machine without any.
+    """Return the alternative readings whose log odds against the readings as they stand exceed
+    ``least``, each after its log odds: the likeliest whichever of the active groups of the readings
+    as they stand remain, and then the likeliest if none does. There are none of too many readings.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if len(problem.measured) > MOST_RANKED_READINGS or not (alternatives := [*alternatives]):
@@ -266,8 +264,8 @@ def turn_alternatives(
 def _are_turns(off: Array, station: Rows) -> bool:
     """Return whether readings in time order ``(k,)`` may be off by turns.
 
-    A single one is a slip, and a single step is a knocked stand. Most stations must be off by the
-    same turns at each visit, because the hand is read at the same place.
+    A single one is a slip, and a single step is a knocked stand. At least half of the stations must
+    be off by the same turns at each visit, because the hand is read at the same place.
     """
     affected = np.unique(station[off != 0])
     constant = sum(np.ptp(off[station == s]) == 0 for s in affected)
@@ -309,13 +307,15 @@ def _joint_turns(likelihood: FullLikelihood, rows: RowsBySetup, turn: float) -> 
 
 
 def _log_count_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
-    """Return the log number of equally plausible ways in which a setup is off by turns: all
-    readings within one turn, or each station by its own number of turns. Unusual dials are rare.
+    """Return the log number of equally plausible ways in which a setup is off by turns, up or down:
+    all readings within one turn from some station on, or each station by up to its number of turns.
+    Dials with other or unknown divisions than the usual ones are rare.
     """
     divisions = turn / max(float(problem.resolution[rows].max()), 1e-300)
     unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else TWENTY_TO_ONE
-    stations, first = np.unique(problem.station[rows], return_index=True)
-    whole = np.abs(off[first]) / turn
+    stations, index = np.unique(problem.station[rows], return_inverse=True)
+    whole = np.zeros(len(stations))
+    np.maximum.at(whole, index.reshape(-1), np.abs(off) / turn)
     by_station = np.log(2 * len(stations) * whole[whole > 0]).sum()
     one_turn = float(np.ptp(problem.measured[rows])) < turn
     return unusual + float(min(by_station, np.log(2 * len(stations)) if one_turn else np.inf))

@@ -1,7 +1,7 @@
 """Refusal of implausible readings: before a fit by the kinematics of the machine, and after it by
 the order of the commands' columns.
 
-Checks that need only the table and the machine file are made on reading (`observations.checks`).
+Rows of a table are checked on reading (`observations.checks`); these checks take many together.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ _MIN_TOUCHES = 6  # of a plate: a plane goes through three, and as many more dec
 _PLATE_FLATNESS, _TOUCH_NOISE = 1e-3, 3e-5
 """Metres: a bed in use for printing is at least as flat; touches are hardly more precise."""
 
-_MIN_MISFIT_RATIO = 10.0  # times by which touches are off as they are counted
+_MIN_MISFIT_RATIO = 10.0  # misfit with travel as it is counted, over the least misfit
 _MIN_MISFIT_SHARE = 3e-3  # of the touches' reach: 0.3 mm of 100 mm, ten times their noise
-_MIN_REACH = 0.01  # metres between touches and their middle: no plate is calibrated by less
+_MIN_REACH = 0.01  # metres between touches and their middle: smaller plates are not calibrated
 _TRAVEL_FACTORS = tuple(
     tuple(sign * size for sign in signs)
     for size in (*MICROSTEP_RATIOS, *PULLEY_RATIOS, *UNIT_MISTAKES)
@@ -43,7 +43,7 @@ _TRAVEL_FACTORS = tuple(
 
 _MAX_TRIED = 60  # touches of a setup by which factors are tried: a plane needs no more
 
-_MIN_READINGS = 8  # different readings: by chance one in eight is on the grid
+_MIN_READINGS = 8  # different readings, each of which is on the grid with probability 0.12
 
 
 def check_plausible(tables: Sequence[Readings], machine: Machine, frame: Frame = "rigid") -> None:
@@ -131,7 +131,7 @@ def _travel_remedy(factors: tuple[float, ...], misfit: float, machine: Machine) 
     if size != 1:
         ways.append(f"multiplied by {size:.4g}")
         remedies.append(
-            "look at the microsteps and at the unit of travel, and correct the columns of travel"
+            "look at microsteps, pulleys and the unit of travel, and correct the columns of travel"
         )
     return (
         f"{' and '.join(ways)} they fit a plane to {compact(misfit * 1e3, 1)} mm: "
@@ -183,7 +183,7 @@ _MIN_SIGMA_SCALE = 20.0
 """Ratio of residuals to noise from which drives may be exchanged: part errors rarely reach it."""
 
 _MIN_IMPROVEMENT = 10.0  # ratio of the residuals before and after the exchange
-_TIE_RATIO = 2.0  # with residuals up to this ratio above the best, neither is told from it
+_TIE_RATIO = 2.0  # two explanations whose residuals differ by less cannot be distinguished
 
 
 def check_drive_order(estimate: Estimate) -> None:
@@ -215,7 +215,7 @@ def check_drive_order(estimate: Estimate) -> None:
     drives = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
     exchange = f"with the commands {' and '.join(drives)}"
     if sum(other < tied for other, s, _ in trials if s == subset) > 1:
-        exchange = "with the commands in another order of drives, which they cannot tell"
+        exchange = "with the commands in another order of drives (these readings do not show which)"
     raise InputError(
         f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
         f"exchange the columns, or else the legs and directions of all dials"

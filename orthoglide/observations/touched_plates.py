@@ -24,7 +24,7 @@ LEAST_MOVE = 1e-4
 _MAX_DIFFERENCE, _MAX_TILT, _MAX_SHAPE = 2e-4, 6e-5, 5e-5
 """Metres by which two lists may differ at three quarters of the places that both touched: in
 height, by a tilt, and with many places by a smooth shape. Of 17 pairs on owners' printers, probed
-warm and cold, none does by more than 0.11, 0.036 and 0.015 mm; an endstop that moved by 0.3 mm
+warm and cold, none differs by more than 0.11, 0.036 and 0.015 mm; an endstop that moved by 0.3 mm
 tilts a plate by 0.07 mm or more. A quarter may differ by more: a list with one wrong touch of seven
 has to stay, as the other list is what shows that touch."""
 _MIN_COMMON_PLACES = 4  # places that establish a difference: one more than a plane has unknowns
@@ -33,8 +33,8 @@ _USUAL_NOISE = 2.5e-5  # metres, of a difference of two touches
 _TRIMMING_STEPS = 5  # of a fit to the places that agree; most settle after two
 _MIN_SHAPE_PLACES = 6  # places for a shape beside a plane: twice its unknowns
 _LARGE_SHAPE, _MIN_SHAPE_RATIO = 4e-5, 3.0
-"""Root mean square of differences beside a plane, metres, that none of those pairs reaches (0.032
-mm), and the ratio by which it falls if the places of a mirrored or turned list are put right."""
+"""Root mean square of differences beside a plane, metres, more than of any of those 17 pairs (0.032
+mm), and the ratio by which it falls if the places of a mirrored or turned list are corrected."""
 
 _SYMMETRIES = {
     "mirrored in x": np.diag([-1.0, 1.0]),
@@ -46,9 +46,11 @@ _SYMMETRIES = {
         for c, s in [(np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle)))]
     },
 }
-"""Orders of rows and columns of a grid, and turns of a plate or of the towers' names."""
+"""What the first of two lists may be, with the matrix from its places to those of the other, places
+being rows: other orders of rows and columns of a grid, turns of the towers' names or of a plate,
+counter-clockwise from above."""
 
-_MIN_SMOOTHED = 12  # places for a surface of second order, of six unknowns, without their noise
+_MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,8 @@ def disagreements(
 
     Args:
         kinematics: of the controller; without them nothing is compared.
-        campaigns: readings; each list is compared with those before it.
+        campaigns: readings; each list is compared with those before it that agree, up to the first
+            that it contradicts.
         relative: whether the heights of a list have no common zero with those of another.
     """
     if kinematics is None:
@@ -96,7 +99,7 @@ def disagreements(
     for campaign in campaigns:
         for other in agreed:
             places, difference = _differences(kinematics, campaign, other, relative)
-            note = _symmetry_note(kinematics, campaign, other)
+            note = _symmetry_note(kinematics, campaign, other, places, difference)
             if note := note or _note(campaign.name, other.name, places, difference):
                 yield campaign.name, other.name, note
                 break
@@ -104,21 +107,20 @@ def disagreements(
             agreed.append(campaign)
 
 
-def _symmetry_note(kinematics: DeltaKinematics, campaign: Readings, other: Readings) -> Note | None:
+def _symmetry_note(
+    kinematics: DeltaKinematics, campaign: Readings, other: Readings,
+    places: Array, difference: Array,
+) -> Note | None:  # fmt: skip
     """Return a note on two lists whose heights agree only if one is mirrored or turned; ``None`` if
-    there are no such ones.
+    they agree as they are, or in no other way.
     """
-
-    def shape(symmetry: Array) -> float:
-        places, difference = _differences(kinematics, campaign, other, False, symmetry)
-        if len(places) < _MIN_SHAPE_PLACES:
-            return np.inf
-        return float(np.sqrt(np.mean(fit_plane(places, difference)[1] ** 2)))
-
-    size = shape(np.eye(2))
+    size = _shape_size(places, difference)
     if not _LARGE_SHAPE < size < np.inf:
         return None
-    shapes = {way: shape(symmetry) for way, symmetry in _SYMMETRIES.items()}
+    shapes = {
+        way: _shape_size(*_differences(kinematics, campaign, other, False, symmetry))
+        for way, symmetry in _SYMMETRIES.items()
+    }
     agreeing = min(size / _MIN_SHAPE_RATIO, _LARGE_SHAPE)
     ways = [way for way, least in shapes.items() if least <= agreeing]
     if not ways:
@@ -126,12 +128,18 @@ def _symmetry_note(kinematics: DeltaKinematics, campaign: Readings, other: Readi
     return Note(
         f"{campaign.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
         f"beside a plane their heights differ by {plain(size * 1e3, 3)} mm rms, and by "
-        f"{plain(min(shapes.values()) * 1e3, 3)} mm if the places of one are mirrored or turned, "
-        f"such as {' or '.join(ways)}. Correct the order of its rows and columns, or probe it "
-        f"again; of a plate that was turned say by how much (turned_deg, or --turned NAME=DEGREES "
-        f"on import)",
+        f"{plain(min(shapes.values()) * 1e3, 3)} mm if {campaign.name}.csv is "
+        f"{' or '.join(ways)}. Correct the order of its rows and columns, or probe it again; of a "
+        f"plate that was turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
         "apart",
     )
+
+
+def _shape_size(places: Array, difference: Array) -> float:
+    """Return the root mean square of differences beside a plane, metres; infinite for too few."""
+    if len(places) < _MIN_SHAPE_PLACES:
+        return np.inf
+    return float(np.sqrt(np.mean(fit_plane(places, difference)[1] ** 2)))
 
 
 def _note(name: str, other: str, places: Array, difference: Array) -> Note | None:
@@ -180,7 +188,8 @@ def _differences(
     """Return common places ``(n, 2)`` of two lists and by how much the plate of the first is
     higher there ``(n,)``, metres; empty if they are too few, or the plate was turned between them.
 
-    With a symmetry, a matrix ``(2, 2)``, each place is compared with its image.
+    With a symmetry, a matrix ``(2, 2)`` that takes places of the first to places of the other, each
+    place is compared with its image.
     """
     from scipy.interpolate import LinearNDInterpolator  # which is slow to load
 
@@ -192,7 +201,8 @@ def _differences(
     if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
         return np.empty((0, 2)), np.empty(0)
     q, first = np.unique(np.round(q, 5), axis=0, return_index=True)
-    images = p if symmetry is None else p @ symmetry
+    to_other = np.eye(2) if symmetry is None else symmetry
+    images = p @ (to_other if few is campaign else to_other.T)
     difference = heights - LinearNDInterpolator(q, other_heights[first])(images)
     difference *= 1 if few is campaign else -1
     common = np.isfinite(difference)
@@ -204,11 +214,11 @@ def _differences(
 
 def _trimmed_plane(places: Array, difference: Array) -> tuple[Array, float]:
     """Return the plane ``(3,)`` of differences of heights, and the largest tilt that is not
-    significant, both in metres.
+    significant, in metres.
 
     The plane is fitted to the three quarters of places with the smallest residuals. The limit is
     ``_MAX_TILT``, or three standard errors of the plane if that is larger. Their variance is that
-    of all residuals and of three more of the usual noise, for the three unknowns of the plane.
+    of all residuals and of three pseudo-residuals of the usual noise, for the three unknowns.
     """
     count = max(_MIN_COMMON_PLACES, int(np.ceil(0.75 * len(difference))))
     nearest = np.arange(len(difference))

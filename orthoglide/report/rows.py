@@ -56,7 +56,7 @@ _ALIGNMENTS = {
 }
 
 
-POSSIBLE_TITLES = ("probability", "possible cause", "residual, rms", "stations left out, rms")
+POSSIBLE_TITLES = ("probability", "possible cause", "deviations, rms", "stations left out, rms")
 """Titles of the rows by :func:`possible_rows`."""
 
 
