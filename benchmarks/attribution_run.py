@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -57,7 +57,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     elif visible is not None and (chosen := _causes(case, rows, setups, rng)):
         # Sizes were once taken from simulated readings: their draws keep the campaigns the same.
         rc.simulate(bare, rows, rng)
-        causes = [(cause, _size(cause, case.rms, bare, rows, visible)) for cause in chosen]
+        causes = [(cause, size_of(cause, case.rms, bare, rows, visible)) for cause in chosen]
     for cause, size in causes:
         rig = cause.added_to(rig, size)
     measured, touched = rc.simulate(rig, rows, rng), ()
@@ -90,7 +90,7 @@ def _causes(
     ]
 
 
-def _size(cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], visible: Visible) -> float:
+def size_of(cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], visible: Visible) -> float:
     """Size at which a cause shows so much past the base, or the largest that is asked for."""
     small = 1.0 if cause.extra is None else ac.FIRST_SIZE
     shown = visible.rms(_shown(cause, small, bare, rows, visible))
@@ -126,7 +126,12 @@ def accepted(truth: Record, name: str, parameters: Sequence[str]) -> bool:
 # -- what the tool says --------------------------------------------------------------------------
 
 
-def run(case: Case, seed: int, background: float = ac.BACKGROUND) -> Record:
+def run(
+    case: Case,
+    seed: int,
+    background: float = ac.BACKGROUND,
+    draw: Callable[[Case, int, float], Drawn] = draw,
+) -> Record:
     """Everything the tables need of one case, ready for JSON."""
     began = time.perf_counter()
     record: Record = {
