@@ -29,10 +29,11 @@ from orthoglide.explanation.data_faults import (
 )
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
+from orthoglide.explanation.ranked_readings import check_drive_order
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
-from orthoglide.fit.plausible import check_drive_order, check_plausible
+from orthoglide.fit.plausible import check_plausible
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Readings

@@ -14,11 +14,12 @@ from orthoglide.explanation.assumed_noise import check_scatter, with_refuted_noi
 from orthoglide.explanation.credible_faults import credible_faults
 from orthoglide.explanation.faults import fault_message
 from orthoglide.explanation.full_posterior import posterior_with_corrected_commands
+from orthoglide.explanation.ranked_readings import check_drive_order
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import Estimate, Problem, assemble, solve
 from orthoglide.fit.assembling import read_tables
 from orthoglide.fit.crosscheck import verify
-from orthoglide.fit.plausible import check_drive_order, check_plausible
+from orthoglide.fit.plausible import check_plausible
 from orthoglide.fit.solving import Method
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine, MachineSource

@@ -31,6 +31,7 @@ from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_ba
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Estimate, Problem, solve
 from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.plausible import exchanged_drives
 from orthoglide.geometry import Array
 from orthoglide.observations import source
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
@@ -86,6 +87,30 @@ def likeliest_misreading(
             candidate = other.evidence + alternative.log_odds, alternative
             best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
     return best[1]
+
+
+def check_drive_order(estimate: Estimate) -> None:
+    """Refuse campaigns of which the full model, too, prefers the commands of drives exchanged: to
+    the readings as they stand, and to two dials with each other's label, a fault of the data.
+
+    Raises:
+        InputError: naming the files, and the drives.
+    """
+    suspected = exchanged_drives(estimate)
+    if suspected is None:
+        return
+    as_read = posterior_at_base_fit(estimate).evidence + TWENTY_TO_ONE
+    others = (_evidence(problem) for problem in suspected.others)
+    if _evidence(suspected.exchanged) > max([as_read, *others]):
+        raise InputError(suspected.message)
+
+
+def _evidence(problem: Problem) -> float:
+    """Return the log evidence of readings at their base fit; minus infinity if they have none."""
+    try:
+        return posterior_at_base_fit(fit_nested(problem)).evidence
+    except NumericsError:
+        return -np.inf
 
 
 _LEVEL_SCALES: Sequence[Scales] = ((5.0, 0.003),)

@@ -1,5 +1,5 @@
-"""Refusal of implausible readings: before a fit by the kinematics of the machine, and after it by
-the order of the commands' columns.
+"""Implausible readings: refused before a fit by the kinematics of the machine, suspected after one
+by the order of the commands' columns.
 
 Rows of a table are checked on reading (`observations.checks`); these checks take many together.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, permutations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -182,21 +183,24 @@ def _check_unit_and_frame(
 _MIN_SIGMA_SCALE = 20.0
 """Ratio of residuals to noise from which drives may be exchanged: part errors rarely reach it."""
 
-_MIN_IMPROVEMENT = 10.0  # ratio of the residuals before and after the exchange
 _TIE_RATIO = 2.0  # two explanations whose residuals differ by less cannot be distinguished
 
 
-def check_drive_order(estimate: Estimate) -> None:
-    """Refuse campaigns whose readings fit only with the commands of drives exchanged.
+class ExchangedDrives(NamedTuple):
+    """Commands that may stand in each other's columns."""
 
-    Two dials with each other's label are no such campaign; they are a fault of the data.
+    message: str  # naming the files, and the drives
+    exchanged: Problem  # with the commands in the likeliest order
+    others: list[Problem]  # with the labels of two dials exchanged, which fits nearly as well
 
-    Raises:
-        InputError: naming the files, and the drives.
+
+def exchanged_drives(estimate: Estimate) -> ExchangedDrives | None:
+    """Return the likeliest order of drives if the readings fit much better with it than as given;
+    ``None`` if they do not.
     """
     problem, scale = estimate.problem, estimate.sigma_scale
     if scale < _MIN_SIGMA_SCALE or not problem.campaigns:
-        return
+        return None
     names, campaigns = problem.machine.geometry.leg_names, range(len(problem.campaigns))
     subsets = [tuple(campaigns), *((k,) for k in campaigns if len(campaigns) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
@@ -206,19 +210,20 @@ def check_drive_order(estimate: Estimate) -> None:
         for order in orders
     ]
     best, subset, order = min(trials)
-    if best * _MIN_IMPROVEMENT >= scale:
-        return
     tied = _TIE_RATIO * best
-    if any(_sigma_scale(other, tied) < tied for other in _with_two_dials_exchanged(problem)):
-        return
+    if tied >= scale:
+        return None
     files = ", ".join(source(problem.campaigns[k]) for k in subset)
     drives = [f"of drive {names[k]} under {names[order[k]]}" for k in range(3) if order[k] != k]
     exchange = f"with the commands {' and '.join(drives)}"
     if sum(other < tied for other, s, _ in trials if s == subset) > 1:
         exchange = "with the commands in another order of drives (these readings do not show which)"
-    raise InputError(
+    dials = [p for p in _with_two_dials_exchanged(problem) if _sigma_scale(p, tied) < tied]
+    return ExchangedDrives(
         f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
-        f"exchange the columns, or else the legs and directions of all dials"
+        f"exchange the columns, or else the legs and directions of all dials",
+        _with_drives_exchanged(problem, subset, order),
+        dials,
     )
 
 
