@@ -176,7 +176,7 @@ def test_what_is_stated_includes_the_place_of_a_step(stepping: og.Verdict) -> No
 def test_the_page_says_where_to_read_a_step(stepping: og.Verdict) -> None:
     (test,) = (s.confirm for action in stepping.actions for s in action.options)
     assert test.startswith("read a dial on carriage x along its travel every millimetre from −")
-    assert test.endswith("mm: expect a step of 0.5 mm")
+    assert test.endswith("mm: expect a step of 0.5 mm away from the origin as travel grows")
 
 
 @pytest.mark.thorough
@@ -187,3 +187,12 @@ def test_a_dead_spot_has_its_place_and_direction() -> None:
     (found,) = verdict.located
     assert found.members[0].name == "drive.y/approach@20to40up"
     assert found.members[0].size == pytest.approx(5e-4, rel=0.1)
+
+
+@pytest.mark.thorough
+def test_a_step_back_is_said_to_be_one() -> None:
+    rig = Rig(errors=ERRORS, extra=(rc.drive_step(0, -5e-4, -0.002),))
+    rows = rc.simulate(rig, stations(range(-100, 61, 10), 3), np.random.default_rng(9102))
+    verdict = og.close_loop([public.campaign(rows)], public.machine())
+    (test,) = (s.confirm for action in verdict.actions for s in action.options)
+    assert test.endswith("mm: expect a step of 0.5 mm toward the origin as travel grows")

@@ -254,7 +254,11 @@ def located_error_test(curve: Curve) -> str:
     if place.is_step:
         low, high = place.travels_of_step
         way = f"{high} to {low}" if place.side < 0 else f"{low} to {high}"
-        return f"read a dial on {spot} every millimetre from {way} mm: expect a step of {size}"
+        toward = place.names.slide_end_words[bool(curve.value[-1] > curve.value[0])][1]
+        return (
+            f"read a dial on {spot} every millimetre from {way} mm: expect a step of {size} "
+            f"{toward} as travel grows"
+        )
     if place.against == "approach":
         return (
             f"set a dial on {spot} and come to one place from smaller and from larger travel of "
