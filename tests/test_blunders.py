@@ -327,6 +327,14 @@ def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
     assert len(searched) == 1  # five were, of which four came far behind by one factorisation
 
 
+def test_readings_too_many_to_be_compared_with_misreadings_are_noted(machine, monkeypatch):
+    fit = estimate_of(rows_of("standard", seed=2), machine)
+    assert find_data_faults(fit).notes == ()
+    monkeypatch.setattr(data_faults, "MOST_RANKED_READINGS", len(fit.problem.measured) - 1)
+    (note,) = find_data_faults(fit).notes
+    assert note.startswith("wrong signs, units and labels")
+
+
 def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):
     fit = estimate_of(rc.swapped_sign(rows_of("standard", seed=2), "yz-0.5").rows, machine)
     monkeypatch.setattr(data_faults, "_ROUNDS", 1)

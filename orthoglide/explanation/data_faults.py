@@ -23,6 +23,7 @@ from orthoglide.explanation.assumed_noise import (
 )
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
+from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import with_faults_accounted_for
 from orthoglide.explanation.credible_faults import CredibleFaults, credible_faults
 from orthoglide.explanation.fault_columns import FaultKey
@@ -133,7 +134,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         tuple(change.with_separate_fit(posterior.before) for change in changes),
         as_given,
         found.ambiguous,
-        (*contradictions, *unsettled, *_probable_fault_notes(posterior.before.problem, found)),
+        (*contradictions, *unsettled, *_fault_notes(posterior.before.problem, found)),
     )
 
 
@@ -195,8 +196,17 @@ def _unsettled_note() -> Note:
     )
 
 
-def _probable_fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
-    """Yield a note on each fault that is probable, but not certain enough to be corrected."""
+def _fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
+    """Yield a note on each fault that is probable, but not certain enough to be corrected, and one
+    if the readings are too many to be compared with misreadings of them.
+    """
+    if problem.campaigns and len(problem.measured) > MOST_RANKED_READINGS:
+        yield Note(
+            f"wrong signs, units and labels, exchanged dials and shifted rows are searched for in "
+            f"up to {MOST_RANKED_READINGS} readings, so not in these: to search for them, give a "
+            f"part of the readings first",
+            "slip",
+        )
     for fault, probability in found.probable:
         certainty = f"probability {100 * probability:.0f} %, too low for a correction"
         text = fault_message(problem, fault)
