@@ -89,7 +89,7 @@ class _Numbers:
     """Stands for what numpy takes as an array of numbers."""
 
 
-_MOST_CHECKED = 2  # items of a collection: a list of another kind begins with a wrong one
+_MOST_CHECKED = 2  # first items of a collection: one of another kind begins with wrong ones
 
 
 @cache

@@ -12,7 +12,7 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -117,26 +117,35 @@ def test_a_notebook_is_kept_with_its_outputs(path: Path) -> None:
     assert cells(path, "markdown")[0].startswith("# ")
 
 
-def shown(path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the cells of a notebook end with, as a notebook shows it."""
-    monkeypatch.chdir(folder)
-    names: dict[str, Any] = {"__name__": "__main__"}
-    found = []
-    for source in cells(path, "code"):
-        value = run_cell(source, names)
-        if value is not None:
-            rich = next((getattr(value, n) for n in ("_repr_html_", "_repr_svg_")
-                         if hasattr(value, n)), None)  # fmt: skip
-            found.append(rich() if rich else repr(value))
-    return found
+Shown = Callable[[Path], tuple[list[str], str]]
+
+
+@pytest.fixture
+def shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Shown:
+    """What the cells of a notebook end with, as a notebook shows it, and what they print; they run
+    in an empty folder.
+    """
+    monkeypatch.chdir(tmp_path)
+
+    def run(path: Path) -> tuple[list[str], str]:
+        names: dict[str, Any] = {"__name__": "__main__"}
+        found = []
+        for source in cells(path, "code"):
+            value = run_cell(source, names)
+            if value is not None:
+                rich = next((getattr(value, n) for n in ("_repr_html_", "_repr_svg_")
+                             if hasattr(value, n)), None)  # fmt: skip
+                found.append(rich() if rich else repr(value))
+        return found, capsys.readouterr().out
+
+    return run
 
 
 @pytest.mark.thorough
-def test_identify_and_diagnose(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    values = shown(NOTEBOOKS[0], tmp_path, monkeypatch)
-    said = capsys.readouterr().out
+def test_identify_and_diagnose(shown: Shown) -> None:
+    values, said = shown(NOTEBOOKS[0])
     assert "off by 0.0" in said
     told = "The path of the y carriage is out of square toward z by 2.5 mrad"
     assert sum(told in value for value in values) == 1
@@ -147,11 +156,8 @@ def test_identify_and_diagnose(
 
 
 @pytest.mark.thorough
-def test_plan_and_rehearse(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    values = shown(NOTEBOOKS[1], tmp_path, monkeypatch)
-    said = capsys.readouterr().out
+def test_plan_and_rehearse(shown: Shown, tmp_path: Path) -> None:
+    values, said = shown(NOTEBOOKS[1])
     assert "found from" in values[1]
     assert "6 campaigns of 54 readings" in said
     assert "<table" in values[0]
@@ -159,11 +165,8 @@ def test_plan_and_rehearse(
 
 
 @pytest.mark.thorough
-def test_your_own_effect(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    values = shown(NOTEBOOKS[2], tmp_path, monkeypatch)
-    said = capsys.readouterr().out
+def test_your_own_effect(shown: Shown, tmp_path: Path) -> None:
+    values, said = shown(NOTEBOOKS[2])
     assert "rail_sag.x.z" in said
     alone, causes, named = values
     assert "The path of the x carriage leaves its line toward z" in alone

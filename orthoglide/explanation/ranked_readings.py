@@ -14,7 +14,13 @@ from itertools import combinations
 import numpy as np
 
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.explanation.alternative_readings import EXPECTED_COUNT, RowsBySetup, level_readings
+from orthoglide.explanation.alternative_readings import (
+    EXPECTED_COUNT,
+    RowsBySetup,
+    alternative_readings,
+    level_readings,
+    setups_to_reinterpret,
+)
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
@@ -31,7 +37,7 @@ from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_ba
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Estimate, Problem, solve
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.plausible import exchanged_drives
+from orthoglide.fit.plausible import exchanged_drives, sigma_scale_within
 from orthoglide.geometry import Array
 from orthoglide.observations import source
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
@@ -99,8 +105,12 @@ def check_drive_order(estimate: Estimate) -> None:
     suspected = exchanged_drives(estimate)
     if suspected is None:
         return
+    problem, tied = estimate.problem, suspected.tied
+    alternatives = alternative_readings(problem, setups_to_reinterpret(problem, []))
+    exchanges = [fault for fault in alternatives if fault.kind == "exchanged_labels"]
+    corrected = (with_faults_corrected(problem, [fault]) for fault in exchanges)
+    others = [_evidence(p) for p in corrected if sigma_scale_within(p, tied) < tied]
     as_read = posterior_at_base_fit(estimate).evidence + TWENTY_TO_ONE
-    others = (_evidence(problem) for problem in suspected.others)
     if _evidence(suspected.exchanged) > max([as_read, *others]):
         raise InputError(suspected.message)
 

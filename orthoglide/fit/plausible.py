@@ -6,9 +6,9 @@ Rows of a table are checked on reading (`observations.checks`); these checks tak
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, permutations, product
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -191,7 +191,7 @@ class ExchangedDrives(NamedTuple):
 
     message: str  # naming the files, and the drives
     exchanged: Problem  # with the commands in the likeliest order
-    others: list[Problem]  # with the labels of two dials exchanged, which fits nearly as well
+    tied: float  # ratio of residuals to noise up to which another explanation fits as well
 
 
 def exchanged_drives(estimate: Estimate) -> ExchangedDrives | None:
@@ -205,7 +205,7 @@ def exchanged_drives(estimate: Estimate) -> ExchangedDrives | None:
     subsets = [tuple(campaigns), *((k,) for k in campaigns if len(campaigns) > 1)]
     orders = [order for order in permutations(range(3)) if order != (0, 1, 2)]
     trials = [
-        (_sigma_scale(_with_drives_exchanged(problem, subset, order), scale), subset, order)
+        (sigma_scale_within(_with_drives_exchanged(problem, subset, order), scale), subset, order)
         for subset in subsets
         for order in orders
     ]
@@ -218,12 +218,11 @@ def exchanged_drives(estimate: Estimate) -> ExchangedDrives | None:
     exchange = f"with the commands {' and '.join(drives)}"
     if sum(other < tied for other, s, _ in trials if s == subset) > 1:
         exchange = "with the commands in another order of drives (these readings do not show which)"
-    dials = [p for p in _with_two_dials_exchanged(problem) if _sigma_scale(p, tied) < tied]
     return ExchangedDrives(
         f"{files}: the readings fit {scale / best:.0f} times better {exchange}: "
         f"exchange the columns, or else the legs and directions of all dials",
         _with_drives_exchanged(problem, subset, order),
-        dials,
+        tied,
     )
 
 
@@ -240,18 +239,7 @@ def _with_drives_exchanged(
     return problem.with_leg_factors(factors)
 
 
-def _with_two_dials_exchanged(problem: Problem) -> Iterator[Problem]:
-    """Yield the problem with the labels of two setups exchanged, for any two of a campaign."""
-    for k, factor in enumerate(problem.leg_factors):
-        for a, b in combinations(range(len(factor.readings.setups)), 2):
-            setups, factors = list(factor.readings.setups), list(problem.leg_factors)
-            setups[a] = replace(factor.readings.setups[b], name=setups[a].name)
-            setups[b] = replace(factor.readings.setups[a], name=setups[b].name)
-            factors[k] = factor.with_table(replace(factor.readings, setups=tuple(setups)))
-            yield problem.with_leg_factors(factors)
-
-
-def _sigma_scale(problem: Problem, bound: float) -> float:
+def sigma_scale_within(problem: Problem, bound: float) -> float:
     """Return the ratio of residuals to noise; infinite if even a linear fit without priors leaves
     more than ``bound``.
     """

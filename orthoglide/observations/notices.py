@@ -56,14 +56,13 @@ def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
 
 
 def _note_late_clock(campaign: Readings) -> Iterator[Note]:
-    """Note a clock whose zero is farther from the session than the session is long.
-
-    Bars that warm count from zero, so they would already have grown at the first reading.
+    """Note a clock that starts later than the session is long: bars that warm from its zero would
+    have grown before the first reading.
     """
     time = campaign.time[np.isfinite(campaign.time)]
     if len(time) and time.min() > np.ptp(time):
         yield Note(
-            f"{TIME.name} starts at {time.min():.6g} s: it counts from the start of the session, "
-            f"when the machine was as cold as its tolerances say; a time of day is not meant",
+            f"{TIME.name} starts at {time.min():.6g} s: give seconds since the start of the "
+            f"session, not a time of day, as effects that grow with time count from 0",
             TIME.name,
         )
