@@ -133,8 +133,9 @@ def _demo_requests(seed: int, files: dict[str, str | bytes]) -> dict[str, tuple[
     hidden = cause_words(worn.catalogue, fault, worn.values)
     return {
         "published": (
-            "1. The machine of the papers, from the 24 averages that its authors published: "
-            "Experiments 2 and 3, between which new offsets were set.",
+            "1. The machine of the papers, from the 24 averages that its authors published, each "
+            "counted from the zero posture: Experiments 2 and 3, between which new offsets were "
+            "set.",
             published,
         ),
         "simulated": (

@@ -21,9 +21,16 @@ _MOST_NAMED_WEAK = 4  # parameters of a weak direction that its sentence names
 
 def improvement_words(before: Scores, after: Scores) -> str:
     """Return by how much a fit reduces the residuals, a clause."""
-    averaged = math.isfinite(after.deviation_rms)
+    return f"{difference_words(after)} {_rms_change(before, after)}"
+
+
+def difference_words(scores: Scores) -> str:
+    """Return what the first residual of a fit is called: that of averaged deviations of dials, or
+    else of readings.
+    """
+    averaged = math.isfinite(scores.deviation_rms)
     of = "averaged readings and their prediction" if averaged else "readings and prediction"
-    return f"the difference between {of} {_rms_change(before, after)}"
+    return f"the difference between {of}"
 
 
 def _rms_change(before: Scores, after: Scores) -> str:

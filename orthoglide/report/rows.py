@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, probability, signed
+from orthoglide.report.fit_sentences import difference_words
 from orthoglide.result import CandidateScore, Result
 from orthoglide.text import sentence
 
@@ -75,11 +76,10 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 def possible_cause_sentences(result: Result) -> list[str]:
     """Return the most probable causes if nothing was found, a sentence each."""
-    averaged = math.isfinite(result.before.scores.deviation_rms)
-    what = "averaged deviations" if averaged else "residuals"
+    what = difference_words(result.before.scores)
     return [
-        f"{sentence(words)} Probability {chance}. It would reduce the rms of {what} from {fit}, "
-        f"and of readings predicted from other stations from {left_out}."
+        f"{sentence(words)} Probability {chance}. It would reduce {what} from {fit} rms, and "
+        f"that of readings predicted from other stations from {left_out}."
         for chance, words, fit, left_out in possible_rows(result)
     ]
 
