@@ -117,6 +117,7 @@ def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
 
 def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     """Yield every run of equal readings over several postures that is long enough."""
+    place_odds = -float(np.log(sum(map(len, rows_by_setup.values()))))  # it may begin anywhere
     for rows in rows_by_setup.values():
         commands = problem.dial_column("command")
         finest = max(_finest_step(problem.measured[rows]), 1e-7)
@@ -131,6 +132,7 @@ def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
             # A stuck dial shows all but the first reading with certainty; a working one with the
             # probability of its rounding step at most.
             odds = float(np.log(np.maximum(sigma * np.sqrt(2 * np.pi) / step, 1.0))[1:].sum())
+            odds += place_odds
             if len(run) < len(rows):  # otherwise the first reading is the datum
                 odds += float(np.log(sigma[0] * np.sqrt(2 * np.pi) / _LOST_RANGE))
             yield Fault("stuck", run, log_odds=odds)
