@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -36,7 +36,7 @@ from orthoglide.explanation.linear_model import (
     drop_unseen_directions,
     identity_group,
 )
-from orthoglide.explanation.screening import screen_data_faults
+from orthoglide.explanation.screening import Screening
 from orthoglide.explanation.twins import tool_slopes, translations, twins
 from orthoglide.fit import Estimate, Problem, with_effects_freed
 from orthoglide.fit.excitation import excited_effects
@@ -94,11 +94,28 @@ class LinearisedModel:
     nuisance: Nuisances  # of the instruments, at the linearisation
     # rms difference of the prediction at the mean from its linearisation, sigmas
     linearisation_error: float = float("nan")
+    screening: Screening | None = None  # of all data faults; absent after the search for them
 
     @property
     def parameter_count(self) -> int:
         """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
+
+    def with_hidden_faults(self, active: Iterable[tuple[str, float]]) -> LinearisedModel | None:
+        """Return the model with the data faults too that are likely beside active groups only,
+        given by names and taus; ``None`` if there are none, or not all faults are considered.
+        """
+        of_machine = {g.name for g in self.linear.groups if not g.of_data}
+        beside = [(name, tau) for name, tau in active if name in of_machine]
+        if self.screening is None or not beside:
+            return None
+        known = [group.source for group in self.linear.groups if group.of_data]
+        names = {fault.name for fault in known}
+        hidden = [f for f in self.screening.likeliest(beside) if f.name not in names]
+        rows, linear = self.screening.rows, self.screening.linear
+        units = self.units[: linear.columns.shape[1]]
+        without = replace(self, units=units, rows=rows, linear=linear, screening=None)
+        return _with_data_faults(without, [*known, *hidden]) if hidden else None
 
     def at_mean(self, mean: Array, groups: Sequence[Group]) -> LinearisedModel:
         """Return the model with its linearisation error at a mean ``(C,)``.
@@ -106,7 +123,8 @@ class LinearisedModel:
         Of readings that are not ranked, the rows of free-form errors and data faults that are not
         among the groups are left out, which saves memory.
         """
-        model = replace(self, linearisation_error=self._linearisation_error_at(mean))
+        error = self._linearisation_error_at(mean)
+        model = replace(self, linearisation_error=error, screening=None)
         if len(self.value_at_zero) <= MOST_RANKED_READINGS:
             return model
         kept = [np.arange(self.parameter_count), np.flatnonzero(self.linear.plate_shapes)]
@@ -170,22 +188,20 @@ def linearise_full_model(
     full_problem, linearised = _linearise_all_parameters(estimate, point)
     displacement = _displacement_by_commands(full_problem, linearised, corrected)
     model = _machine_model(estimate.problem, full_problem, linearised, displacement)
-    if suspected_faults:
-        families = fault_families(full_problem, linearised, corrected)
-        if isinstance(suspected_faults, bool):
-            residual = full_problem.measured - model.value_at_zero
-            suspects = screen_data_faults(
-                families, full_problem, model.nuisance, model.rows, residual, model.linear
-            )
-        else:
-            kinds = {kind for kind, *_ in suspected_faults}
-            suspects = [suspect for family in families if family.kind in kinds
-                        for suspect in family if suspect.key(full_problem) in suspected_faults
-                        ]  # fmt: skip
-        model = _with_data_faults(model, suspects)
-    linear, compact = model.linear, drop_unseen_directions(model.linear)
-    unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
-    return replace(model, linear=compact, unexplainable_chi2=unexplainable)
+    if not suspected_faults:
+        return _with_data_faults(model, ())
+    families = fault_families(full_problem, linearised, corrected)
+    if isinstance(suspected_faults, bool):
+        residual = full_problem.measured - model.value_at_zero
+        screening = Screening(
+            families, full_problem, model.nuisance, model.rows, residual, model.linear
+        )
+        return _with_data_faults(replace(model, screening=screening), screening.likeliest())
+    kinds = {kind for kind, *_ in suspected_faults}
+    suspects = [suspect for family in families if family.kind in kinds
+                for suspect in family if suspect.key(full_problem) in suspected_faults
+                ]  # fmt: skip
+    return _with_data_faults(model, suspects)
 
 
 def _displacement_by_commands(
@@ -288,9 +304,16 @@ def _scaled_columns(
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:
-    """Return the model with one group for each data fault."""
-    if not suspects:
-        return model
+    """Return the model with a group for each data fault, in directions that a group can move."""
+    if suspects:
+        model = _with_fault_groups(model, suspects)
+    linear, compact = model.linear, drop_unseen_directions(model.linear)
+    unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
+    return replace(model, linear=compact, unexplainable_chi2=unexplainable)
+
+
+def _with_fault_groups(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:
+    """Return the model with a group and columns for each data fault."""
     problem, linear = model.problem, model.linear
     residual = problem.measured - model.value_at_zero
     rows = model.rows.beside(s.full_columns(len(residual)) for s in suspects)

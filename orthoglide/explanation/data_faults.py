@@ -49,6 +49,7 @@ from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
 from orthoglide.observations.touched_plates import disagreements
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import DataFault
 
@@ -58,6 +59,10 @@ _ROUNDS = 6
 _MOST_SLIPS = 0.25
 """Share of the readings of one kind that may be slips. People misread one reading in fifty: if more
 than a quarter disagrees with the others, the model is wrong or the commands are."""
+
+_SCATTERED_REPEATS = 0.5
+"""Ratio of the expected squared noise to that of repeats below which a fault may have set them
+apart. By chance, ten repeats scatter twice as much in 3 of 100 campaigns."""
 
 _OVERSTATED_NOISE = 0.25
 """Chi2 per degree of freedom below which the declared noise is at least twice too large."""
@@ -100,9 +105,11 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
         posterior = first = posterior_with_corrected_commands(base)
-        if first.mixture.chi2_per_dof < _OVERSTATED_NOISE:  # would hide a wrong unit
-            base = fit_nested(with_smaller_noise(base.problem, _noise_square_ratios(first)))
-            posterior = posterior_with_corrected_commands(base)
+        if squares := _smaller_noise_squares(first):  # larger noise would hide a fault
+            smaller = fit_nested(with_smaller_noise(base.problem, squares))
+            either = first, posterior_with_corrected_commands(smaller)
+            posterior = best_of(either, _log_evidence, LOG_ODDS_MARGIN)
+            base = base if posterior is first else smaller
         misreading = _find_misreading(base, posterior, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
             evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
@@ -213,6 +220,31 @@ def _fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
         yield Note(
             f"possible data fault ({certainty}, so the rows stay in the fit): {text}", "slip"
         )
+
+
+def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
+    """Return ratios of the squared noise to that assumed, by kind of reading, where the noise is
+    probably smaller: overstated, or that of repeats which a fault has set apart. An instrument that
+    was moved scatters at places that were read before and after.
+    """
+    if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:
+        return _noise_square_ratios(posterior)
+    usual = dict[str, float]()
+    for factor in posterior.before.problem.factors:
+        noise = factor.noise
+        ratio = np.where(factor.readings.touching, 1.0, noise.expected / noise.total)
+        for kind in dict.fromkeys(factor.readings.kind):
+            of_kind = ratio[factor.readings.of_kind(kind) & noise.weighted]
+            median = float(np.median(of_kind)) if len(of_kind) else 1.0
+            usual[kind] = min(usual.get(kind, 1.0), median**2)
+    return usual if min(usual.values()) < _SCATTERED_REPEATS else {}
+
+
+def _log_evidence(posterior: FullPosterior) -> float:
+    """Return the log evidence of the best explanation, with that of the size of the noise."""
+    problem = posterior.before.problem
+    noise = problem.reading_sd[problem.weighted]
+    return posterior.evidence - float(np.log(noise).sum())
 
 
 def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:

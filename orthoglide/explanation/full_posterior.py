@@ -374,8 +374,9 @@ def _posterior_at(
     start = () if previous is None else previous.mixture.active_groups
     linearised = linearise_full_model(before, point, corrected, suspected_faults)
     mixture = Mixture(linearised.linear, given, start)
-    linearised = linearised.at_mean(mixture.mean, mixture.likely_groups)
-    return FullPosterior(before, linearised, mixture)
+    if more := linearised.with_hidden_faults(mixture.active_groups):
+        linearised, mixture = more, Mixture(more.linear, given, mixture.active_groups)
+    return FullPosterior(before, linearised.at_mean(mixture.mean, mixture.likely_groups), mixture)
 
 
 @contextmanager
@@ -385,14 +386,13 @@ def _closure_explained(before: Estimate) -> Iterator[None]:
         yield
     except ClosureError as error:
         limits = "; ".join(_exceeded_limits(before))
-        message = (
+        raise SolverError(
             f"the identified machine does not reach all of its stroke: {limits}: correct these in "
             "the controller or on the machine, or give a shorter stroke in the machine file"
             if limits
             else "the identified machine does not close: the readings, or their units, are not "
             "those of this machine"
-        )
-        raise SolverError(message) from error
+        ) from error
 
 
 def _exceeded_limits(estimate: Estimate) -> list[str]:

@@ -2,12 +2,13 @@
 
 With ``S = 1 + A D A^T`` the covariance of whitened readings over a background, and r their
 residual, the columns F of a fault give its log Bayes factor from ``F^T S^-1 F`` and ``F^T S^-1
-r``, with no cause active.
+r``, with no cause active or beside those that a search has found: a large cause hides a fault.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,63 +31,82 @@ _BACKGROUNDS = (0.003, 0.1, 1.0)  # tolerances: each may hide or imitate a data 
 _MOST_DENSE_NUMBERS = 2e6  # 16 MB of columns of faults, above which they are scored sparsely
 
 
-def screen_data_faults(
-    suspects: Sequence[FaultFamily],
-    problem: Problem,
-    nuisance: Nuisances,
-    rows: MergedRows,
-    residual: Array,
-    linear: LinearModel,
-) -> list[FaultColumns]:
-    """Return the faults with the largest log Bayes factors, of each kind and for each background,
-    and those of corrected commands.
+@dataclass(frozen=True, eq=False, repr=False)
+class Screening:
+    """All possible data faults of readings, and the linear model of these without faults."""
 
-    Args:
-        suspects: all possible faults.
-        problem: the readings.
-        nuisance: of these.
-        rows: readings by coefficient ``(n, C)``.
-        residual: readings less the prediction at zero ``(n,)``.
-        linear: rows and residual, whitened and projected.
-    """
-    if not suspects:
-        return []
-    counts = [len(s) for s in suspects]
-    family = np.repeat(np.arange(len(suspects)), counts)
-    kinds = np.array([s.kind for s in suspects])[family]
-    columns, whitened_residual = linear.columns, linear.residual
-    n, starts = len(residual), np.cumsum([0, *counts])
-    ends = np.cumsum([s.columns[:, 0].size for s in suspects])
-    dense = n * ends[-1] <= _MOST_DENSE_NUMBERS
-    if dense:
-        full_columns = np.hstack([fault.full_columns(n) for s in suspects for fault in s])
-        fault_columns = nuisance.project(full_columns)
-        fault_columns = np.pad(fault_columns, [(0, len(columns) - len(fault_columns)), (0, 0)])
-    cost = np.log(len(SLAB_SCALES) / np.array([s.expected_count for s in suspects])[family])
-    chosen = {int(starts[k]) for k, s in enumerate(suspects) if s.corrected}
-    gram, products = columns.T @ columns, columns.T @ whitened_residual
-    for sd in (np.sqrt(linear.spike(scale, scale)) for scale in _BACKGROUNDS):
-        if dense:
-            scaled = columns * sd
-            root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
-            remaining = solve_triangular(root, whitened_residual, lower=True)
-            whitened_columns = solve_triangular(root, fault_columns, lower=True)
-            blocks = np.split(whitened_columns.T, ends[:-1])
-            scored = [(block.reshape(len(s), -1, len(remaining)), remaining)
-                      for s, block in zip(suspects, blocks, strict=True)]  # fmt: skip
-        else:
-            precision = sd[:, None] * gram * sd + np.eye(len(sd))
-            remaining = residual - rows @ (sd * np.linalg.solve(precision, sd * products))
-            remaining = remaining - nuisance.explained_residual(remaining)
-            # That other coefficients can imitate a fault is neglected, as for few columns among
-            # many readings.
-            weight = 1 / problem.reading_sd
-            remaining = remaining * weight
-            scored = [((s.columns * weight[s.rows, None]).transpose(0, 2, 1), remaining[s.rows])
-                      for s in suspects]  # fmt: skip
-        gains = np.concatenate([_log_bayes_factors(*each) for each in scored])
-        chosen.update(_best_of_each_kind(kinds, gains, cost - _SCREENING_MARGIN))
-    return [suspects[family[k]][k - starts[family[k]]] for k in sorted(chosen)]
+    families: Sequence[FaultFamily]
+    problem: Problem
+    nuisance: Nuisances  # of its readings
+    rows: MergedRows  # readings by coefficient (n, C)
+    residual: Array  # readings less the prediction at zero (n,)
+    linear: LinearModel  # rows and residual, whitened and projected
+
+    def likeliest(self, beside: Iterable[tuple[str, float]] = ()) -> list[FaultColumns]:
+        """Return the faults with the largest log Bayes factors, of each kind and for each
+        background, and those of corrected commands.
+
+        Args:
+            beside: names of active groups with their taus.
+        """
+        if not self.families:
+            return []
+        counts = [len(family) for family in self.families]
+        family = np.repeat(np.arange(len(counts)), counts)
+        kinds = np.array([f.kind for f in self.families])[family]
+        starts = np.cumsum([0, *counts])
+        expected = np.array([f.expected_count for f in self.families])
+        least = np.log(len(SLAB_SCALES) / expected)[family] - _SCREENING_MARGIN
+        chosen = {int(starts[k]) for k, f in enumerate(self.families) if f.corrected}
+        for gains in self._gains(self._active_columns(beside)):
+            chosen.update(_best_of_each_kind(kinds, gains, least))
+        return [self.families[family[k]][k - starts[family[k]]] for k in sorted(chosen)]
+
+    def _active_columns(self, groups: Iterable[tuple[str, float]]) -> Array:
+        """Return the coefficients of active groups at one sd of their slabs ``(C, k)``."""
+        count = self.linear.columns.shape[1]
+        blocks, scales = [np.zeros((count, 0))], dict(groups)
+        for group in self.linear.groups:
+            if group.name in scales:
+                block = np.zeros((count, group.size))
+                block[group.coefficients] = scales[group.name] * group.unit * group.weights
+                blocks.append(block)
+        return np.hstack(blocks)
+
+    def _gains(self, active: Array) -> Iterator[Array]:
+        """Yield the log Bayes factors of all faults ``(N,)`` for each background, with active
+        groups ``(C, k)`` beside it.
+        """
+        columns, whitened_residual = self.linear.columns, self.linear.residual
+        n = len(self.residual)
+        ends = np.cumsum([family.columns[:, 0].size for family in self.families])
+        if dense := n * ends[-1] <= _MOST_DENSE_NUMBERS:
+            full_columns = np.hstack([f.full_columns(n) for each in self.families for f in each])
+            faults = self.nuisance.project(full_columns)
+            faults = np.pad(faults, [(0, len(columns) - len(faults)), (0, 0)])
+        for scale in _BACKGROUNDS:
+            sd = np.sqrt(self.linear.spike(scale, scale))
+            scaled = np.hstack([columns * sd, columns @ active])
+            if dense:
+                root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
+                remaining = solve_triangular(root, whitened_residual, lower=True)
+                whitened_columns = solve_triangular(root, faults, lower=True)
+                blocks = np.split(whitened_columns.T, ends[:-1])
+                scored = [(block.reshape(len(each), -1, len(remaining)), remaining)
+                          for each, block in zip(self.families, blocks, strict=True)]  # fmt: skip
+            else:
+                precision = scaled.T @ scaled + np.eye(scaled.shape[1])
+                mean = np.linalg.solve(precision, scaled.T @ whitened_residual)
+                mean = sd * mean[: len(sd)] + active @ mean[len(sd) :]
+                remaining = self.residual - self.rows @ mean
+                remaining = remaining - self.nuisance.explained_residual(remaining)
+                # That other coefficients can imitate a fault is neglected, as for few columns among
+                # many readings.
+                weight = 1 / self.problem.reading_sd
+                remaining = remaining * weight
+                scored = [((f.columns * weight[f.rows, None]).transpose(0, 2, 1), remaining[f.rows])
+                          for f in self.families]  # fmt: skip
+            yield np.concatenate([_log_bayes_factors(*each) for each in scored])
 
 
 def _best_of_each_kind(kinds: NDArray[np.str_], gains: Array, least: Array) -> Iterator[int]:

@@ -18,7 +18,7 @@ from orthoglide.effects import Effect
 from orthoglide.fit.noise import RowNoise, expected_sigma
 from orthoglide.fit.repeats import MAX_NOISE_RATIO, roughness
 from orthoglide.geometry import Array
-from orthoglide.instruments import Frame, InstrumentPose, InstrumentPriors, SetupReadings
+from orthoglide.instruments import Frame, InstrumentPriors, SetupReadings
 from orthoglide.machine import Machine
 from orthoglide.numerals import plain
 from orthoglide.observations import Readings, source
@@ -154,10 +154,13 @@ class Factor(MeasurementModel):
         return replace(self, readings=self.readings.with_readings(reading))
 
     def with_table(self, readings: Readings) -> Factor:
-        """Return the factor with a changed table of as many rows."""
-        added = len(readings.setups) - len(self.instrument_poses)
-        poses = (*self.instrument_poses, *(InstrumentPose(),) * added)
-        return replace(self, readings=readings, instrument_poses=poses)
+        """Return the factor with a changed table of as many rows. The instrument of a setup that
+        was split off starts from the pose of the one that its rows had.
+        """
+        poses = self.instrument_poses
+        numbers = range(len(poses), len(readings.setups))
+        split_off = [poses[self.setup[readings.setup == k][0]] for k in numbers]
+        return replace(self, readings=readings, instrument_poses=(*poses, *split_off))
 
     def subset(self, rows: NDArray[Any]) -> Factor:
         """Return some of the rows, by indices or booleans ``(n,)``."""
