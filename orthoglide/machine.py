@@ -141,6 +141,17 @@ class Machine:
         model = self.model.with_catalogue(catalogue)
         return self._with_model(replace(self.spec, catalogue=catalogue), model)
 
+    def with_shapes(self) -> Machine:
+        """Return this machine with the sizes of its free-form errors as structured members."""
+        posterior = self.posterior
+        catalogue = self.catalogue.with_shapes(
+            dict(zip(posterior.names, posterior.mean.tolist(), strict=True))
+        )
+        if catalogue.effects == self.catalogue.effects:
+            return self
+        model = self.model.with_catalogue(catalogue)
+        return self._with_model(replace(self.spec, catalogue=catalogue), model)
+
     @property
     def values(self) -> dict[str, float]:
         """Parameters that are not zero, SI."""

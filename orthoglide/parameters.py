@@ -44,10 +44,12 @@ def effect_name(name: str) -> str:
 
 
 def spaced(effect: str) -> str:
-    """Return the name of an effect as words; of a free-form error at a negative travel, where two
-    underscores stand for a space and a minus sign, with that sign.
+    """Return the name of an effect as words; of a free-form error with its travels, where
+    underscores stand for a minus sign and for a decimal point too.
     """
-    return effect.replace("__", " \N{MINUS SIGN}").replace("_", " ")
+    decimal = re.sub(r"(?<=\d)_(?=\d)", ".", effect)
+    signed = re.sub(r"(?<=\d)to(_?)(?=\d)", r" to \1", decimal).replace(" _", " \N{MINUS SIGN}")
+    return signed.replace("__", " \N{MINUS SIGN}").replace("_", " ")
 
 
 def split_campaign(name: str) -> tuple[str, str]:

@@ -62,16 +62,16 @@ def option(machine: Machine, words: str, values: Mapping[str, float]) -> Option:
     """
     groups: dict[tuple[str, ...], dict[Parameter, float]] = {}
     catalogue, marks = machine.catalogue, []
-    of_setups: dict[Parameter, list[float]] = {}
+    of_setups: dict[Parameter, dict[str, float]] = {}
     for name, value in values.items():
         if (effect := catalogue.effect_of(name)).of_dial:
             parameter = catalogue.parameter(name)
             finding = parameter.undirected if effect.paired else parameter
-            of_setups.setdefault(finding, []).append(value)
+            of_setups.setdefault(finding, {})[parameter.direction] = value
     for finding, sizes in of_setups.items():
         effect = catalogue.effect_of(finding)
         part: Part = "plate" if effect.of_body else "dial"
-        size = size_words(effect, math.hypot(*sizes))
+        size = size_words(effect, effect.amplitude(sizes))
         marks.append(Mark(part, -1, np.zeros(3), size, setup=finding.setup))
     for p, value in catalogue.elementary_machine_values(values).items():
         direction = "" if catalogue.effect_of(p).paired else p.direction
@@ -88,7 +88,8 @@ def _marks(machine: Machine, values: dict[Parameter, float]) -> list[Mark]:
     """Return the marks of one leg; a part that several joints move is marked once."""
     first = next(iter(values))
     effect, (leg, _) = machine.catalogue.effect_of(first), machine.catalogue.motions[first]
-    size = size_words(effect, math.hypot(*values.values())).partition(" (")[0]
+    amplitude = effect.amplitude({p.direction: value for p, value in values.items()})
+    size = size_words(effect, amplitude).partition(" (")[0]
     travel, commands = stroke_commands(machine.geometry, leg, _PATH_POINTS)
     named = {str(n): v for n, v in values.items()}
     conditions = Conditions.from_commands(commands, **SHOWN_CONDITIONS)

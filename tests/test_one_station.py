@@ -47,7 +47,7 @@ def test_a_bump_and_a_wrong_command_stand_in_one_set(bumpy: og.Verdict) -> None:
 
 def test_the_sentence_names_all_three(bumpy: og.Verdict) -> None:
     text = " ".join(str(bumpy).split())
-    assert "toward z at travel −50 mm and nowhere else, by 0.1 mm" in text
+    assert "toward z at travel −50 mm and nowhere else, by +0.1 mm" in text
     fault = "fault of the data:"
     assert text.startswith(
         f"A {fault} another command than the one written in c4.csv, line 19 and 11 more. Or"
@@ -104,7 +104,7 @@ def test_a_wide_bump_of_a_rail_is_no_curve_of_the_dial() -> None:
     (found,) = verdict.located
     on_rail = [m for m in found.members if (m.leg, m.part, m.direction) == ("z", "rail", "y")]
     assert sum(m.probability for m in on_rail) > 0.9
-    assert found.members[0].size == pytest.approx(1.2e-4, rel=0.15)
+    assert found.members[0].size == pytest.approx(-1.2e-4, rel=0.15)
     assert "within 64 mm of travel −50 mm and nowhere else" in " ".join(str(verdict).split())
 
 

@@ -70,6 +70,14 @@ def test_a_step_is_found_again_by_its_name(name: str) -> None:
     assert [*found[effect.name].motions] == [*effect.motions]
 
 
+def test_a_calibrated_step_predicts_the_readings_beside_it() -> None:
+    """It was two millimetres wide, and an unchanged machine had changed."""
+    step = form_of("drive.x/travel@-4.1to-2.6").kernel
+    assert isinstance(step, Step)
+    ends = np.array([step.start, step.end])
+    np.testing.assert_allclose(step.lasting.functions(ends)[0], [0.0, 1.0], atol=1e-12)
+
+
 def test_words_of_a_step() -> None:
     places = [form_of(name).words.partition(" along its axis ") for name in NAMES[1:]]
     assert {clause for clause, _, _ in places} == {"drive y steps", "drive z steps"}
@@ -186,7 +194,7 @@ def test_a_dead_spot_has_its_place_and_direction() -> None:
     verdict = studied([public.campaign(rows)], public.machine())
     (found,) = verdict.located
     assert found.members[0].name == "drive.y/approach@20to40up"
-    assert found.members[0].size == pytest.approx(5e-4, rel=0.1)
+    assert found.members[0].size == pytest.approx(-5e-4, rel=0.1)
 
 
 @pytest.mark.thorough

@@ -2,16 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.closing.actions import located_error_test
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.free_form import Dependence, FreeForm, Part, Session, free_forms
+from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
@@ -20,7 +18,6 @@ from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
 from orthoglide.numerals import compact
 from orthoglide.report.sentences import headline
-from orthoglide.result.findings import Curve
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import LEGS, Rig
@@ -138,12 +135,10 @@ def test_lost_motion_of_a_place_comes_with_the_test_that_shows_it(
     part: Part, axis: str, against: Dependence, spot: str
 ) -> None:
     place = FreeForm(part, 1, axis, against, kernel=Level())
-    curve = cast(Curve, SimpleNamespace(place=place, size_words="0.050 mm"))
-    said = located_error_test(curve)
+    said = confirming_test(place, 5e-5)
     assert said.startswith(f"set a dial on {spot}")
-    assert "0.050 mm" in said
-    silent = SimpleNamespace(place=replace(place, against="travel"), size_words="0.050 mm")
-    assert located_error_test(cast(Curve, silent)) == ""
+    assert " 0.05 mm" in said
+    assert confirming_test(replace(place, against="travel"), 5e-5) == ""
 
 
 def test_an_error_at_a_negative_travel_keeps_its_sign() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,20 +10,29 @@ from typing import Any
 import numpy as np
 
 from orthoglide.arguments import public
+from orthoglide.checking.located import (
+    errors_with_size,
+    gone_and_come,
+    located_only_in_first,
+    located_words,
+    resized,
+)
 from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
+from orthoglide.effects import Effect
 from orthoglide.explanation.change import COLUMNS, Change, combination
 from orthoglide.explanation.change_search import visits
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import assemble, solve
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
+from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import PlateMove
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import Located, Request
+from orthoglide.result import Curve, Located, Request
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
 
@@ -38,9 +47,10 @@ class Check(Framed):
         closed: the machine as it is now, from the new readings alone.
         differences: of the base parameters, of the causes found and of what changed.
         moves: plates that lie elsewhere than before.
-        gone: errors located in the old state alone; if there are any, or any new ones, each state
-            is closed by itself, because no parameter describes the change.
-        come: errors located in the new state alone.
+        gone: errors located in the old state that show no more.
+        come: errors located in the new state that did not show before.
+        resized: curves of errors that no parameter of a machine represents, before and now, where
+            their sizes differ.
     """
 
     old: tuple[str, ...]
@@ -50,6 +60,7 @@ class Check(Framed):
     moves: tuple[PlateMove, ...] = ()
     gone: tuple[Located, ...] = ()
     come: tuple[Located, ...] = ()
+    resized: tuple[tuple[Curve, Curve], ...] = ()
     _index = "parameter"
 
     def __repr__(self) -> str:
@@ -82,10 +93,16 @@ class Check(Framed):
 
     @property
     def places(self) -> tuple[str, ...]:
-        """A sentence for each error that was located in one state alone."""
+        """A sentence for each error that was located in one state alone, or in both with other
+        sizes.
+        """
         return (
-            *(f"what was located before shows no more: {_located_words(one)}" for one in self.gone),
-            *(f"located now, and not before: {_located_words(one)}" for one in self.come),
+            *(f"what was located before shows no more: {located_words(one)}" for one in self.gone),
+            *(f"located now, and not before: {located_words(one)}" for one in self.come),
+            *(
+                f"located before and now: {b.words} instead of {a.size_words}"
+                for a, b in self.resized
+            ),
         )
 
     @cached_property
@@ -95,8 +112,12 @@ class Check(Framed):
 
     @cached_property
     def with_changes(self) -> Verdict:
-        """The verdict with the changes since the old readings, for drawings and actions."""
-        return build_result(replace(self.closed, changed=self.changes), Verdict)
+        """The verdict with the changes since the old readings, for drawings and actions. Those of
+        located errors are not among them, as the new readings alone show these errors.
+        """
+        catalogue = self.closed.request.machine.catalogue
+        changed = tuple(d for d in self.changes if d.parameter.effect in catalogue)
+        return build_result(replace(self.closed, changed=changed), Verdict)
 
     @cached_property
     def sentences(self) -> tuple[str, ...]:
@@ -142,10 +163,10 @@ def check(
 ) -> Check:
     """Compare two states of a machine by their readings.
 
-    Both states are closed together, so that all readings determine unchanged parameters, and
-    changes are searched jointly. Then every parameter of the base and of the causes found gets one
-    value before and one after, which bounds the change of all others. The verdict is that of the
-    new readings alone.
+    Each state is closed by itself; an error that is located in either has a size in both. Then both
+    are closed together, so that all readings determine unchanged parameters, and changes are
+    searched jointly. Every parameter of the base and of the causes found gets one value before and
+    one after, which bounds the change of all others. The verdict is that of the new readings alone.
 
     Args:
         old: readings of the old state, in the order they were taken; paths are read as by
@@ -172,71 +193,58 @@ def check(
     with_dials = not all(one.of_tool for one in after)
     kept = [one for one in before if not (with_dials and one.of_tool)]
     request = Request("close-loop", (*kept, *after), states[1].machine, (), noise, seed)
-    together = compute_outcome(request, progress)
+    return _comparison(request, before, after, progress)
+
+
+def _comparison(
+    request: Request, before: Sequence[Readings], after: Sequence[Readings], progress: Progress
+) -> Check:
+    """Return the comparison of two states; ``request`` has the readings to close together."""
     # Alternatives of a change make the old state ambiguous, but not the new one.
-    closed = compute_outcome(replace(request, given=tuple(after)), progress)
-    old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
-    jointly = len(kept) == len(before) and len(visits(together.before.problem)) > 1
-    differences = _joint_differences(together, new_names)
-    gone = come = tuple[Located, ...]()
-    # No parameter describes the change of an error that has no name.
-    unnamed = any(one.located or one.word == "unexplained" for one in (together, closed))
-    if not jointly or together.changed or unnamed:
-        closed_before = compute_outcome(replace(request, given=tuple(before)), progress)
-        gone = _located_only_in_first(closed_before, closed)
-        come = _located_only_in_first(closed, closed_before)
-        if not jointly or gone or come:
-            files = ", ".join(old_names), ", ".join(new_names)
-            differences = _separate_differences(closed_before, closed, files)
-    progress(Step("comparing"))
-    moves = plate_moves(together.after.problem, together.after.x, old_names, new_names)
-    return Check(old_names, new_names, closed, tuple(differences), moves, gone, come)
-
-
-def _located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Located, ...]:
-    """Return the errors located in the first state that neither a located error nor a cause at
-    their legs explains in the second; none if the states were read at different places.
-    """
-    if not _places_read(first) or _places_read(first) != _places_read(second):
-        return ()
-    curves = {curve.name for located in second.located for curve in located.members}
-    legs = {
-        second.catalogue.parameter(n).leg for cause in second.effects for n in cause.all_parameters
-    }
-    return tuple(
-        located
-        for located in first.located
-        if curves.isdisjoint(curve.name for curve in located.members)
-        and legs.isdisjoint(curve.leg for curve in located.members)
+    closed_before, closed = (
+        compute_outcome(replace(request, given=tuple(side)), progress) for side in (before, after)
     )
+    errors = [*errors_with_size(closed_before, closed)]
+    shapes = [one.shape for one in errors if one.shape.name not in request.machine.catalogue]
+    machine = request.machine.with_effects(shapes)
+    together = compute_outcome(replace(request, machine=machine), progress)
+    old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
+    jointly = (
+        len(request.given) == len(before) + len(after) and len(visits(together.before.problem)) > 1
+    )
+    gone = located_only_in_first(closed_before, closed)
+    come = located_only_in_first(closed, closed_before)
+    if not jointly or gone or come:
+        files = ", ".join(old_names), ", ".join(new_names)
+        names = {shape.name for shape in shapes}
+        sizes = (change for change in together.changed if change.parameter.effect in names)
+        differences = (*sizes, *_separate_differences(closed_before, closed, files))
+    else:
+        differences = tuple(_joint_differences(together, new_names, shapes))
+    rivals = {error.shape.name: error.rivals for error in errors}
+    differences = tuple(
+        replace(d, rivals=rivals.get(d.parameter.effect, d.rivals)) for d in differences
+    )
+    sized_gone, sized_come, stated = gone_and_come(errors, together.changed)
+    progress(Step("comparing"))
+    return Check(
+        old_names, new_names, closed,
+        tuple(d for d in differences if d.parameter.effect not in stated),
+        plate_moves(together.after.problem, together.after.x, old_names, new_names),
+        gone + sized_gone, come + sized_come, tuple(resized(closed_before, closed)),
+    )  # fmt: skip
 
 
-def _places_read(closed: RunOutcome) -> set[tuple[float, ...]]:
-    """Return the setups and commands of all dials, rounded to a tenth of a millimetre."""
-    return {
-        (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
-        for campaign in closed.request.campaigns
-        for k, command in zip(campaign.setup, np.round(campaign.command, 4).tolist(), strict=True)
-        for s in (campaign.setups[k],)
-    }
-
-
-def _located_words(located: Located) -> str:
-    """Return the likeliest place of a located error, and its alternatives."""
-    first, *others = located.members
-    alternatives = [f"{len(others)} other place{'s' * (len(others) > 1)}"] if others else []
-    alternatives += ["a fault of the readings"] if located.data else []
-    rivals = f" (or {', or '.join(alternatives)})" if alternatives else ""
-    return f"{first.words}{rivals}"
-
-
-def _joint_differences(together: RunOutcome, later: Collection[str]) -> Iterator[Change]:
+def _joint_differences(
+    together: RunOutcome, later: Collection[str], shapes: Iterable[Effect]
+) -> Iterator[Change]:
     """Yield the changed parameters, then all others from a fit of all readings with one value
-    before and one in later campaigns.
+    before and one in later campaigns. ``shapes``: the errors that either state shows.
     """
     changes = [change for change in together.changed if np.isfinite(change.after)]
     yield from changes
-    names = _compared_parameters(together)
+    sizes = (name for effect in shapes for name in effect.motions)
+    names = [*dict.fromkeys((*_compared_parameters(together), *sizes))]
     problem, request = together.before.problem, together.request
     # Faulty rows have zero weight in these tables.
     tables = [

@@ -12,13 +12,13 @@ import numpy as np
 
 from orthoglide.accuracy import best_zeros, expected_gain, lack_of_gain
 from orthoglide.control import withholding_reason
-from orthoglide.effects.free_form import FreeForm
+from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import plain, signed
 from orthoglide.ordering import ranked
-from orthoglide.result import Action, Cause, Curve, Located, Suspect, Withheld
+from orthoglide.result import Action, Cause, Located, Suspect, Withheld
 from orthoglide.text import MACHINE_OPTION, lower_first
 
 if TYPE_CHECKING:
@@ -30,10 +30,6 @@ _FILES_OUTDATED = (
 )
 _LOST_MOTION_EXCLUDED = "the stated errors of the tool do not include lost motion: "
 _COMPENSATE_CORRECTS = "orthoglide compensate corrects it"
-_DIAL_REVERSAL_TEST = (
-    "read one gauge block twice, first after a shorter block and then after a longer one: the two "
-    "readings should differ by {}"
-)
 _ALTERNATIVE_TO_ZEROS = "instead of new zeros (not both; the gain is beyond that of the zeros)"
 _REPAIR = "Confirm the cause by its test, repair it, and measure again"
 _REPAIR_IF_DATA_HOLD = f"If the data prove right: {lower_first(_REPAIR)}"
@@ -216,7 +212,7 @@ def suspects(finding: Cause | Located | Change) -> tuple[Suspect, ...]:
     if isinstance(finding, Cause):
         causes = finding.explanations
         return tuple(Suspect(e.words, e.look_at, e.confirm) for e in causes)
-    places = ((c.place, located_error_test(c)) for c in finding.members)
+    places = ((c.place, confirming_test(c.place, c.size)) for c in finding.members)
     return tuple(Suspect(place.words, place.look_at, test) for place, test in places)
 
 
@@ -234,40 +230,6 @@ def _suspect_of_change(change: Change, k: int) -> Suspect:
     test = "" if name.member or effect.of_dial else confirm_words(effect, name, value)
     still = " if it is there still" * bool(test and not is_present)
     return Suspect(words, effect.look_at, f"{test}{still}")
-
-
-def located_error_test(curve: Curve) -> str:
-    """Return the test that shows lost motion or a step of a located error; else empty."""
-    place: FreeForm = curve.place
-    size = curve.size_words
-    if place.of_dial:
-        return _DIAL_REVERSAL_TEST.format(size) if place.depends_on_approach else ""
-    leg = place.names.legs[place.leg]
-    spot = {
-        "drive": f"carriage {leg} along its travel",
-        "rail": f"carriage {leg} along {place.direction}",
-        "platform": f"the end of leg {leg} at the platform along {place.direction}",
-    }.get(place.part)
-    if spot is None or not (place.depends_on_approach or place.is_step):
-        return ""
-    spot = place.names.in_layout_words(spot)
-    if place.is_step:
-        low, high = place.travels_of_step
-        way = f"{high} to {low}" if place.side < 0 else f"{low} to {high}"
-        toward = place.names.slide_end_words[bool(curve.value[-1] > curve.value[0])][1]
-        return (
-            f"read a dial on {spot} every millimetre from {way} mm: expect a step of {size} "
-            f"{toward} as travel grows"
-        )
-    if place.against == "approach":
-        return (
-            f"set a dial on {spot} and come to one place from smaller and from larger travel of "
-            f"{leg}: expect {size} between the two"
-        )
-    return (
-        f"set a dial on {spot}, approach one place after a long way in one direction, then again "
-        f"with a reversal just before it: the two readings should differ by up to {size}"
-    )
 
 
 def _compensation(outcome: RunOutcome) -> Action | Withheld | None:

@@ -27,7 +27,7 @@ def picture(outcome: RunOutcome) -> Picture:
     """Return the drawing of the machine with the findings marked, or with the dial of the largest
     residual.
     """
-    machine = outcome.request.machine.with_only({})
+    machine = outcome.before.problem.machine.with_only({})
     posed = machine.posed()
     groups: list[list[Option]] = []  # one for each finding, most probable option first
     for cause in outcome.effects:

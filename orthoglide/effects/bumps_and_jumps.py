@@ -22,9 +22,10 @@ from orthoglide.layout import LegNames
 
 _UM = 1e-6
 
-_MIN_STEP_WIDTH = 20.0
+_MIN_STEP_WIDTH = 12.0
 """Least width of a step of a calibrated machine, in prior standard deviations of its height. An
-active step has 10 at most, so the carriage still moves on as the command does."""
+active step has 10 at most, so the carriage still moves on as the command does. A wider one would
+contradict the readings at stations closer than that."""
 
 
 def jumping(form: FreeForm) -> tuple[FreeForm, ...]:

@@ -257,6 +257,20 @@ class Catalogue(Mapping[str, Effect]):
             parameters.update(dict.fromkeys(members))
         return tuple(parameters)
 
+    def with_shapes(self, values: Mapping[str, float]) -> Catalogue:
+        """Return the catalogue with the shapes of free-form errors of a machine with these values,
+        SI; each has its size as a structured member.
+        """
+        effects = list[Effect]()
+        for effect in self.effects:
+            if effect.size_of is not None:
+                found = {n: values.get(n, 0.0) for n in effect.motions}
+                size = effect.size_of({n.direction: v for n, v in found.items()})
+                shape = tuple((n, v / size) for n, v in found.items()) if size else ()
+                effect = replace(effect, shape=shape)
+            effects.append(effect)
+        return Catalogue(tuple(effects), self.legs)
+
     def structured_members(
         self, name: str, setups: Iterable[str] = ()
     ) -> dict[Parameter, dict[Parameter, float]]:
@@ -277,7 +291,10 @@ class Catalogue(Mapping[str, Effect]):
         def add(member: str, weights: dict[Parameter, float]) -> None:
             members[Parameter(name, member=member)] = weights
 
-        if directions == set(self.legs.legs):  # legs lie along each other's directions
+        if effect.size_of is not None:
+            for leg in {p.leg for p, _ in effect.shape}:
+                members[Parameter(name, leg, member="size")] = dict(effect.shape)
+        elif directions == set(self.legs.legs):  # legs lie along each other's directions
             add("common", dict.fromkeys(parameters, 1.0))
             add("cyclic", {p: self._cyclic_sign(p) for p in parameters})
             legs = self.legs.legs

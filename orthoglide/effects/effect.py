@@ -74,6 +74,9 @@ class Effect:
         per_setup: whether it belongs to the way in which a part was measured, not to the part.
         names: of legs and directions, of the layout that it belongs to.
         points: preposition before the direction of a positive value, such as "toward".
+        size_of: of a paired effect: its size, SI, by the values of its parameters, SI, by what
+            follows the leg in their names; by default the amplitude.
+        shape: of such an effect on a calibrated machine: its parameters for one unit of its size.
     """
 
     name: str
@@ -96,6 +99,8 @@ class Effect:
     per_setup: bool = False
     names: LegNames = Orthoglide.names
     points: str = "toward"
+    size_of: Callable[[Mapping[str, float]], float] | None = None
+    shape: tuple[tuple[Parameter, float], ...] = ()
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
@@ -141,6 +146,10 @@ class Effect:
             return math.nan
         phase = math.degrees(math.atan2(values.get("sin", 0.0), values.get("cos", 0.0)))
         return phase / self.lobes % (360 / self.lobes)
+
+    def amplitude(self, values: Mapping[str, float]) -> float:
+        """Return the size of a paired effect, SI, as `size_of`."""
+        return math.hypot(*values.values()) if self.size_of is None else self.size_of(values)
 
     @property
     def tolerance_si(self) -> float:

@@ -14,12 +14,13 @@ from functools import cached_property, partial
 from itertools import product
 from typing import Any, Literal
 
-from orthoglide.effects import kernels
+import numpy as np
+
+from orthoglide.effects import free_form_words, kernels
 from orthoglide.effects.effect import Effect
 from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level, Step
-from orthoglide.effects.motions import LegConditions, Motion
-from orthoglide.effects.words import Words, toward
-from orthoglide.geometry import LEGS
+from orthoglide.effects.motions import LegConditions, Members, Motion
+from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.numerals import compact
 from orthoglide.units import MM, RAD
@@ -147,6 +148,11 @@ class FreeForm:
         return self.against != "reversal" and not (self.of_dial or self.moves_bar_ends)
 
     @property
+    def has_one_shape(self) -> bool:
+        """Whether `shape_effect` represents it: on one leg, in a model, without order."""
+        return self.in_model and self.leg >= 0 and (self.against != "time" or self.timed)
+
+    @property
     def moves_bar_ends(self) -> bool:
         """Whether the bars of its leg move with it, as a dial on them shows: a displacement of the
         leg's end on the platform is modelled as the opposite displacement of the carriage.
@@ -162,68 +168,79 @@ class FreeForm:
         """First and last value of its variable on a machine with this stroke, metres."""
         return (0.0, stroke[1] - stroke[0]) if self.against == "reversal" else self.span or stroke
 
+    @property
+    def has_level(self) -> bool:
+        """Whether its mean can be told from the zeros; a change with time begins at zero."""
+        return self.depends_on_approach or self.is_local or self.against == "time"
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether its size has a sign, as its function has one shape or begins at zero."""
+        return self.is_local or self.is_line or self.against == "time"
+
+    @cached_property
+    def sampled(self) -> tuple[Array, Array]:
+        """Values of its variable, from -1 to 1 over its interval ``(n,)``, and its functions there
+        for coefficients of unit variance ``(n, k)``, without a mean that zeros absorb.
+        """
+        u = kernels.sample_points(self.kernel, self.short_waves)
+        functions = np.stack(self.kernel.functions(u), axis=1)
+        return u, functions if self.has_level else functions - functions.mean(axis=0)
+
+    def size(self, value: Array) -> float:
+        """Return the size of its values at `sampled` ``(n,)``: the largest of a bump, jump or
+        change with time, with its sign; the range after a reversal, the root mean square difference
+        of both approaches, and else the root mean square about the mean, of a line with its sign.
+        """
+        if self.is_local or self.against == "time":
+            return float(value[np.abs(value).argmax()])
+        if self.against == "approach":
+            return float(np.sqrt(np.mean(value**2)))
+        slope = np.sign(value[-1] - value[0]) if self.is_line else 1.0
+        return float(np.ptp(value) if self.against == "reversal" else slope * np.std(value))
+
+    def size_of(self, values: Mapping[str, float]) -> float:
+        """Return its size by the values of its effect's parameters, SI, by their numbers."""
+        if "" in values:  # of what they have in common
+            return values[""]
+        _, functions = self.sampled
+        mean = [values.get(str(k + 1), 0.0) for k in range(functions.shape[1])]
+        return self.size(functions @ mean)
+
     @cached_property
     def effect(self) -> Effect:
         """The effect with one parameter a coefficient, for a machine that has this error."""
-        unit = RAD if self.is_rotation else MM
         kernel = self.kernel.lasting if isinstance(self.kernel, Step) else self.kernel
-        words = self.words
+        lasting = replace(self, kernel=kernel)
+        return lasting._effect(partial(_members, lasting))
+
+    def shape_effect(self, coefficients: Array) -> Effect:
+        """Return the effect of the error with the shape that it was found with: its one parameter
+        is its size. A jump in time happens in each session.
+
+        ``coefficients``: its mean ``(k,)``, in their prior standard deviations.
+        """
+        size = self.size(self.sampled[1] @ coefficients)
+        return self._effect(partial(_shape_members, self, tuple(coefficients / size)))
+
+    def _effect(self, members: Members) -> Effect:
+        unit = RAD if self.is_rotation else MM
+        name = re.sub(r"\W", "_", self.name)  # a setup may be called anything
+        because = "what no known shape explains is a few hundredths"
         return Effect(
-            re.sub(r"\W", "_", self.name),  # a setup may be called anything
-            unit,
-            self.prior_sd / unit.si,
-            because="what no known shape explains is a few hundredths",
-            sentence=words,
-            look_at=self.look_at,
-            members=partial(_members, replace(self, kernel=kernel)),
-            words=Words(many=words),
-            paired=True,
-            names=self.names,
-        )
+            name, unit, self.prior_sd / unit.si, because, self.words, self.look_at, members,
+            free_form_words.effect_words(self), paired=True, names=self.names, size_of=self.size_of,
+        )  # fmt: skip
 
     @property
     def words(self) -> str:
-        """Clause with the location and the kind of the error."""
-        if self.leg < 0 and not self.of_dial:
-            scales = self.part == "screw"
-            fault = "change their scales equally" if scales else "go equally wrong along their axes"
-            return f"all drives {fault} {self._time_words}"
-        if self.of_dial:
-            if not self.setup:
-                return "all dials read more or less, depending on the way that their plungers came"
-            fault = {
-                "time": "creeps with time",
-                "reading": "is not true over its range",
-                "approach": "reads more or less, depending on the way that its plunger came",
-            }[self.against]
-            if self.bump is not None:
-                fault = "is wrong at one place of its range and nowhere else"
-            return f"the dial of {self.setup} {fault}"
-        leg = self.names.legs[self.leg]
-        depending = "in proportion to" if self.is_line else "depending on"
-        side = "smaller" if self.side > 0 else "larger"
-        dependence = {
-            "travel": self._travel_words,
-            "approach": f"{self._travel_words} where it comes from {side} travel"
-            if self.side
-            else "depending on the side it is approached from",
-            "reversal": "depending on the distance since it reversed",
-            "command": f"{depending} the command of drive {self.names.legs[self.command_drive]}",
-            "time": self._time_words,
-        }[self.against]
-        fault = {
-            "drive": f"drive {leg} {'steps' if self.is_step else 'goes wrong'} along its axis",
-            "screw": f"drive {leg} changes its scale",
-            "rail": f"the path of the {leg} carriage leaves its line toward "
-            f"{toward(self.direction, 1.0)}",
-            "carriage": f"the {leg} carriage turns about {self.direction}",
-            "bar": f"bar {self.direction} of leg {leg} changes its length"
-            if self.direction
-            else f"both bars of leg {leg} change their length",
-            "platform": f"the end of leg {leg} moves on the platform toward "
-            f"{toward(self.direction, 1.0)}",
-        }[self.part]
-        return self.names.in_layout_words(f"{fault} {dependence}")
+        """Clause with the location and the kind of the error, without its size."""
+        return free_form_words.clause(self)
+
+    @property
+    def look_at(self) -> str:
+        """What to look at on the machine."""
+        return free_form_words.look_at(self)
 
     @property
     def spot(self) -> str:
@@ -241,39 +258,6 @@ class FreeForm:
     def travels_of_step(self) -> list[str]:
         """The travels between which it steps, in millimetres."""
         return [compact(round(travel * 1e3, 1), 4) for travel in self.jump or ()]
-
-    @property
-    def _time_words(self) -> str:
-        if self.jump is not None:
-            return f"suddenly {'at' if self.timed else 'after'} {self.spot}"
-        return "in proportion to time" if self.is_line else "with time"
-
-    @property
-    def _travel_words(self) -> str:
-        if self.bump is not None:
-            reach = f"within {2e3 * self.wide:.0f} mm of" if self.wide else "at"
-            return f"{reach} travel {compact(self.bump * 1e3, 3)} mm and nowhere else"
-        if self.jump is not None:
-            return "between travel {} and {} mm".format(*self.travels_of_step)
-        return "in short waves along its travel" if self.short_waves else "depending on its travel"
-
-    @property
-    def look_at(self) -> str:
-        """What to look at on the machine."""
-        if self.of_dial:
-            return "the dial against gauge blocks, and its stand"
-        if self.leg < 0:
-            return "what warms all drives alike: the room, the motors, the machine's frame"
-        leg = self.names.legs[self.leg]
-        part = {
-            "drive": f"the drive of axis {leg}: screw or belt, coupling, encoder",
-            "screw": f"what warms the screw or belt of axis {leg}: its motor, its nut",
-            "rail": f"the rail of axis {leg}, straight edge and dial along its travel",
-            "carriage": f"the carriage of axis {leg}: its bearings and preload",
-            "bar": f"the bars of leg {leg}, their pivots and their warmth",
-            "platform": f"the joint of leg {leg} at the platform: its pins and their fit",
-        }[self.part]
-        return self.names.in_layout_words(part)
 
     def functions(self, conditions: LegConditions, which: slice = slice(None)) -> list[Any]:
         """The free functions at these conditions, for coefficients of unit variance."""
@@ -310,6 +294,22 @@ def _members(form: FreeForm, leg: int) -> Mapping[str, tuple[Motion, ...]]:
         str(k + 1): tuple(Motion(j, partial(_basis, form, k, share)) for j, share in form.joints)
         for k in range(form.kernel.count if leg == form.leg else 0)
     }
+
+
+def _shape_members(
+    form: FreeForm, shape: tuple[float, ...], leg: int
+) -> Mapping[str, tuple[Motion, ...]]:
+    """Return the member of the effect of a free-form error of one shape."""
+    if leg != form.leg:
+        return {}
+    return {"": tuple(Motion(j, partial(_shape, form, shape, share)) for j, share in form.joints)}
+
+
+def _shape(
+    form: FreeForm, shape: tuple[float, ...], share: float, conditions: LegConditions
+) -> Any:
+    functions = form.functions(conditions)
+    return share * sum(weight * f for weight, f in zip(shape, functions, strict=True))
 
 
 def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> Any:

@@ -147,6 +147,19 @@ class BuildUp:
         return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]
 
 
+_BUMP_WIDTHS = 3.0  # from the centre of a bump, beyond which a hundredth of it is left
+
+
+def sample_points(kernel: Kernel | BuildUp | Bump | Step | Level, fine: bool) -> Array:
+    """Return values of the variable ``(n,)`` that show the functions; ``fine``: of short waves."""
+    if isinstance(kernel, Bump):
+        return kernel.centre + kernel.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
+    u = np.linspace(-1, 1, 2 * kernel.count + 1 if fine else 41)
+    if isinstance(kernel, Step) and kernel.least_width is not None:
+        return np.union1d(u, np.linspace(kernel.start, kernel.end, 11))
+    return u
+
+
 LENGTH = 0.08  # metres: half of the stroke for which the lengths below hold; they scale with it
 FINE, COARSE = Kernel(0.030 / LENGTH, 12), Kernel(0.050 / LENGTH, 8)
 FINE_AND_LINE = replace(FINE, line=True)

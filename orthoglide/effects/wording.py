@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 
 from orthoglide.effects.catalogue import CATALOGUE, Catalogue
@@ -54,13 +53,13 @@ def size_and_high_side(catalogue: Catalogue, values: Mapping[str, float]) -> tup
         values: identified values of its parameters, SI.
 
     Returns:
-        The value, of a pair its amplitude, SI; and degrees as of `Effect.high_side`.
+        The value, of a pair its size, SI; and degrees as of `Effect.high_side`.
     """
     by_direction = {}
     for name, value in values.items():
         effect, parameter = _resolve_name(catalogue, name)
         by_direction[parameter.direction if parameter is not None else name] = value
-    size = math.hypot(*by_direction.values()) if effect.paired else value
+    size = effect.amplitude(by_direction) if effect.paired else value
     return size, effect.high_side(by_direction)
 
 
@@ -120,6 +119,13 @@ def signed_size(effect: Effect, value: float) -> str:
 def _signed_size_or_amplitude(effect: Effect, value: float) -> str:
     """Return a size, SI, as text with its sign; paired parameters give an amplitude without one."""
     return size_words(effect, value) if effect.paired else signed_size(effect, value)
+
+
+def difference_words(catalogue: Catalogue, name: str) -> str:
+    """Return the noun phrase of a parameter, in front of its values or its difference."""
+    parameter = catalogue.parameter(name)
+    noun = catalogue.effect_of(parameter).words.noun
+    return noun or parameter_words(parameter, catalogue.legs)
 
 
 def parameter_words(parameter: Parameter, names: LegNames = CATALOGUE.legs) -> str:
@@ -224,7 +230,7 @@ def _clause_of_all(effect: Effect) -> str:
 
 
 def _short_pattern(effect: Effect, member: str) -> str:
-    if not member:
+    if member in ("", "size"):
         return ""
     if member.endswith("symmetric"):
         relation = "opposite ways" if member.endswith("antisymmetric") else "the same way"

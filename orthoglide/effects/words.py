@@ -180,6 +180,7 @@ class Words:
         confirm: test that confirms one parameter of some value, SI, on the machine, with the
             reading to expect.
         common: clause for a value, SI, that all legs have in common, with sign, size and unit.
+        noun: noun phrase without blanks, in place of the names of the parameters.
     """
 
     one: Clause | None = None
@@ -188,6 +189,7 @@ class Words:
     size: Clause | None = None
     confirm: Clause | None = None
     common: Clause | None = None
+    noun: str = ""
 
     def __post_init__(self) -> None:
         sample = Parameter("effect", "x", "z")

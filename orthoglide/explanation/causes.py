@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from orthoglide.effects import free_form_words
 from orthoglide.effects.free_form import FreeForm, Range
-from orthoglide.effects.kernels import Bump, Step
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
@@ -19,8 +19,6 @@ from orthoglide.result import CandidateScore, Cause, Curve, Explanation, Located
 
 CREDIBLE = 0.95
 """Probability that a credible set contains the true cause."""
-
-_BUMP_WIDTHS = 3.0  # from the centre of a bump, beyond which a hundredth of it is left
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -102,20 +100,13 @@ def curve_of(
         mean: of its coefficients ``(k,)``, in their prior standard deviations.
         covariance: of these ``(k, k)``.
     """
-    u = np.linspace(-1, 1, 2 * error.kernel.count + 1 if error.short_waves else 41)
-    if isinstance(bump := error.kernel, Bump):
-        u = bump.centre + bump.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
-    if error.is_step and isinstance(step := error.kernel, Step):
-        u = np.union1d(u, np.linspace(step.start, step.end, 11))
+    u, functions = error.sampled
+    functions = functions * error.prior_sd
+    if error.is_step:
         covariance = np.diag([covariance[0, 0], mean[0] ** 2 + covariance[0, 0]])
-    functions = np.stack(error.kernel.functions(u), axis=1) * error.prior_sd
-    # The mean of a curve cannot be separated from the zeros; a change with time begins at zero.
-    has_level = error.depends_on_approach or error.is_local or error.against == "time"
-    if not has_level:
-        functions -= functions.mean(axis=0)
     low, high = error.interval(stroke)
     value, variance = functions @ mean, np.einsum("ki,ij,kj->k", functions, covariance, functions)
-    size, unit, legs = _size(error, value), "mrad" if error.is_rotation else "mm", error.names.legs
+    size, legs = error.size(value), error.names.legs
     return Curve(
         name=error.name,
         leg=legs[error.leg] if error.leg >= 0 else None,
@@ -126,29 +117,18 @@ def curve_of(
         by_leg=legs[error.command_drive] if error.against == "command" else None,
         setup=error.setup or None,
         probability=probability,
-        unit=unit,
+        unit="mrad" if error.is_rotation else "mm",
         description=error.words,
         size=size,
-        size_words=f"{compact(size * 1e3, 2)} {unit}{'' if has_level else ' rms'}",
+        size_words=free_form_words.signed_size_words(error, size),
         at=low + (u + 1) / 2 * (high - low),
         value=value,
         sigma=np.sqrt(np.maximum(variance, 0.0)),
         of_dial=error.of_dial,
         of_machine=error.of_machine,
         place=error,
+        coefficients=mean,
     )
-
-
-def _size(error: FreeForm, value: Array) -> float:
-    """Return the size of a free-form error, SI: the largest value of a bump, jump or change with
-    time, the range after a reversal, the root mean square difference of both approaches, and else
-    the root mean square about the mean.
-    """
-    if error.is_local or error.against == "time":
-        return float(np.abs(value).max())
-    if error.against == "approach":
-        return float(np.sqrt(np.mean(value**2)))
-    return float(np.ptp(value) if error.against == "reversal" else np.std(value))
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from orthoglide.effects import Catalogue
-from orthoglide.effects.wording import parameter_words, signed_size
+from orthoglide.effects.wording import difference_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.numerals import compact, decimals_for, plain, signed
 from orthoglide.parameters import Parameter
@@ -107,6 +107,10 @@ class Change:
         """True if both values differ by more than three sigmas."""
         return abs(self.difference) > SIGNIFICANT_SIGMAS * self.sigma
 
+    def is_zero(self, value: float) -> bool:
+        """Return whether a value, before or after, is within the uncertainty of the difference."""
+        return abs(value) <= SIGNIFICANT_SIGMAS * self.sigma
+
     @property
     def is_reported(self) -> bool:
         """True if the difference exceeds its sigma and what earlier readings could not show."""
@@ -130,7 +134,7 @@ class Change:
         return self._words_of(self.parameter)
 
     def _words_of(self, parameter: Parameter) -> str:
-        return parameter_words(parameter, self.catalogue.legs)
+        return difference_words(self.catalogue, parameter)
 
     @property
     def message(self) -> str:

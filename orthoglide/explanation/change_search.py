@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise, product
+from typing import Any
 
 import numpy as np
 
@@ -64,16 +65,20 @@ def possible_changes(
 
     Args:
         problem: the problem with these unknowns.
-        names: single parameters; without dials, patterns of equal legs and of a plate that several
-            setups touched are added.
+        names: single parameters, and sizes of free-form errors; without dials, patterns of equal
+            legs and of a plate that several setups touched are added.
         starts: the campaign that begins after a change, or none, and the index of its factor.
     """
-    machine, unknowns = problem.machine, {unknown.name: unknown for unknown in problem.unknowns}
-    weights_of: dict[Parameter, Mapping[Parameter, float]] = {name: {name: 1.0} for name in names}
+    machine, catalogue = problem.machine, problem.machine.catalogue
+    unknowns: dict[str, Unknown] = {unknown.name: unknown for unknown in problem.unknowns}
+    weights_of: dict[Parameter, Mapping[Any, float]] = {
+        name: {name: 1.0} if name in unknowns else catalogue.elementary_weights(name)
+        for name in names
+    }
     if not problem.campaigns:
         setups = tuple(dict.fromkeys(name.setup for name in names if name.setup))
         for effect in dict.fromkeys(name.effect for name in names):
-            for member, parts in machine.catalogue.structured_members(effect, setups).items():
+            for member, parts in catalogue.structured_members(effect, setups).items():
                 if len(parts) > 1 and set(parts) <= set(names):
                     weights_of[member] = parts
     changes = list[Unknown]()

@@ -73,8 +73,15 @@ def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[Change, ...]:
     The changes found beside slightly bent plates are returned if these are as many, because a plate
     need not be an ideal bowl to be a cause; otherwise those beside unchanged plates.
     """
-    calibrated = estimate.problem
-    names = [name for name in calibrated.names if name in earlier.names]
+    calibrated, catalogue = estimate.problem, estimate.problem.machine.catalogue
+    size_of = {
+        part: member
+        for effect in catalogue.values() if effect.shape
+        for member, weights in catalogue.structured_members(effect.name).items()
+        for part in weights
+    }  # fmt: skip
+    varied = (name for name in calibrated.names if name in earlier.names)
+    names = [*dict.fromkeys(size_of.get(name, name) for name in varied)]
 
     def search(problem: Problem) -> tuple[Change, ...]:
         bent = _effects_found(problem.machine.spec)

@@ -47,6 +47,7 @@ def assemble(
     check_choice("frame", frame, get_args(Frame))
     check_list("free", free)
     check_list("own", per_campaign)
+    machine = machine.with_shapes()  # the curve of a calibrated error changes as a whole
     tables = [part for item in _as_list(given) for part in split_legs_and_tool(item)]
     tables = sorted(tables, key=lambda table: table.of_tool)
     instrument_priors = machine_instrument_priors(machine, frame)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from orthoglide.effects.wording import parameter_words, signed_size
+from orthoglide.effects.wording import difference_words, signed_size
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
@@ -108,7 +108,7 @@ def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Itera
         unknown = problem.unknowns[k]
         unit, value = estimate.unit(unknown.name), float(estimate.x[k])
         text = (
-            f"{parameter_words(catalogue.parameter(unknown.name), catalogue.legs)} is "
+            f"{difference_words(catalogue, unknown.name)} is "
             f"{signed_size(catalogue.effect_of(unknown.name), value)}, "
             f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
             f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it; if it is "

@@ -231,11 +231,11 @@ class Problem:
     @cached_property
     def is_from_calibration(self) -> NDArray[np.bool_]:
         """Which unknowns come from an earlier calibration and have not changed since ``(P,)``;
-        their values are no news, however far beyond their tolerances.
+        their values are no news, however far beyond their tolerances. Nor is a change of size.
         """
         earlier = self.earlier_posterior
         known = () if earlier is None or self.machine.spec.is_measured else earlier.names
-        return np.array([name in known for name in self.names], dtype=bool)
+        return np.array([n in known or n.member == "size" for n in self.names], dtype=bool)
 
     def is_implausible(self, x: Array, margin: Array | float = 0.0) -> NDArray[np.bool_]:
         """Return which unknowns ``x`` ``(P,)`` are implausible by their tolerances, by more than a

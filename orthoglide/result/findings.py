@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from orthoglide.effects import Catalogue, Effect, wording
+from orthoglide.effects.free_form_words import size_place
 from orthoglide.geometry import Array
 from orthoglide.numerals import SIGMAS_95
 from orthoglide.parameters import Parameter, split_campaign
@@ -173,7 +174,8 @@ class Curve:
     probability: Share  # conditional on the other causes found
     unit: str  # unit for display: mm or mrad
     description: str  # the error without its size, a clause
-    # SI; of a bump, jump or change with time the largest value, of a reversal the range, else rms
+    # SI; of a bump, jump or change with time the largest value, with its sign, of a reversal the
+    # range, else the root mean square, of a line with its sign
     size: Annotated[float, Key("size_si", digits=SHORT_DIGITS)]
     size_words: str  # size with its unit, and whether it is a root mean square
     # arguments at which the function is evaluated (k,): metres or seconds
@@ -186,6 +188,8 @@ class Curve:
     of_machine: bool  # whether the calibrated machine includes it
     # the `FreeForm` that the search located; none in a loaded result
     place: Annotated[Any, Key(in_file=False)] = None
+    # its coefficients in their prior standard deviations (k,); none in a loaded result
+    coefficients: Annotated[Any, Key(in_file=False)] = None
 
     def __repr__(self) -> str:
         return f"<{self.name}, probability {self.probability:.2f}: {self.size_words}>"
@@ -198,12 +202,7 @@ class Curve:
     @property
     def words(self) -> str:
         """The error with its size, a clause."""
-        return f"{self.description}, by {self.size_words}{self._size_place}"
-
-    @property
-    def _size_place(self) -> str:
-        """Where an error that grows with the travel has its size."""
-        return " half a stroke from mechanical zero" * (self.part == "screw")
+        return f"{self.description}, by {self.size_words}{size_place(self.part)}"
 
     @property
     def words_with_measure(self) -> str:
@@ -214,7 +213,7 @@ class Curve:
         if self.against not in ways and size == self.size_words:  # of a bump
             return self.words
         measure = ways.get(self.against, "root mean square")
-        return f"{self.description}, by {size}{self._size_place} ({measure})"
+        return f"{self.description}, by {size}{size_place(self.part)} ({measure})"
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""

@@ -1,0 +1,144 @@
+"""Errors that are located in one of two states of a machine, or in both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from orthoglide.closing import RunOutcome
+from orthoglide.effects import Effect
+from orthoglide.explanation.change import SIGNIFICANT_SIGMAS, Change
+from orthoglide.result import Curve, Located
+
+
+class SizedError(NamedTuple):
+    """An error that was located in either state and has a size in both."""
+
+    shape: Effect  # with the shape that it was found with
+    old: Located | None  # as located in the old state
+    new: Located | None  # as located in the new state
+    rivals: tuple[str, ...]  # the other places where it may be, a clause each
+
+
+def errors_with_size(before: RunOutcome, now: RunOutcome) -> Iterator[SizedError]:
+    """Yield the errors located in either state that one parameter represents, each once."""
+    of_both = set[int]()
+    for old in filter(_has_one_shape, before.located):
+        curves = _curves_of_one_shape(old)
+        curve, new = curves[0], None
+        for member, (k, other) in product(curves, enumerate(now.located)):
+            if k not in of_both and any(_resemble(member, one) for one in other.members):
+                curve, new = member, other
+                of_both.add(k)
+                break
+        yield _sized(curve, old, new)
+    for k, new in enumerate(now.located):
+        if k not in of_both and _has_one_shape(new):
+            yield _sized(_curves_of_one_shape(new)[0], None, new)
+
+
+def _sized(curve: Curve, old: Located | None, new: Located | None) -> SizedError:
+    shape = curve.place.shape_effect(curve.coefficients)
+    members = [member for one in (new or old,) if one is not None for member in one.members]
+    rivals = tuple(m.place.words for m in members if m.place.words != curve.place.words)
+    return SizedError(shape, old, new, rivals)
+
+
+def gone_and_come(
+    errors: Iterable[SizedError], changed: Iterable[Change]
+) -> tuple[tuple[Located, ...], tuple[Located, ...], set[str]]:
+    """Return the errors whose size changed to zero, those whose size was zero before, and the names
+    of the effects of both.
+    """
+    change_of = {change.parameter.effect: change for change in changed}
+    gone, come, names = list[Located](), list[Located](), set[str]()
+    for shape, old, new, _ in errors:
+        if (change := change_of.get(shape.name)) is None:
+            continue
+        if old is not None and change.is_zero(change.after):
+            gone.append(old)
+        elif new is not None and change.is_zero(change.before):
+            come.append(new)
+        else:
+            continue
+        names.add(shape.name)
+    return tuple(gone), tuple(come), names
+
+
+def _curves_of_one_shape(located: Located) -> list[Curve]:
+    return [member for member in located.members if member.place.has_one_shape]
+
+
+def _has_one_shape(located: Located) -> bool:
+    return bool(_curves_of_one_shape(located))
+
+
+def located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Located, ...]:
+    """Return the errors located in the first state, of those without a size in both, that neither
+    a located error nor a cause at their legs explains in the second; none if the states were read
+    at different places.
+    """
+    if not _places_read(first) or _places_read(first) != _places_read(second):
+        return ()
+    curves = [curve for located in second.located for curve in located.members]
+    legs = {
+        second.catalogue.parameter(n).leg for cause in second.effects for n in cause.all_parameters
+    }
+    return tuple(
+        located
+        for located in first.located
+        if not _has_one_shape(located)
+        and not any(_resemble(one, other) for one, other in product(located.members, curves))
+        and legs.isdisjoint(curve.leg for curve in located.members)
+    )
+
+
+def resized(before: RunOutcome, now: RunOutcome) -> Iterator[tuple[Curve, Curve]]:
+    """Yield the likeliest curves of each error without a parameter that is located in both states
+    with significantly different sizes.
+    """
+    for old, new in product(before.located, now.located):
+        pairs = product(old.members, new.members)
+        if not _has_one_shape(old) and (pair := next((p for p in pairs if _resemble(*p)), None)):
+            first, second = pair
+            sigma = float(np.hypot(_size_sigma(first), _size_sigma(second)))
+            if abs(second.size - first.size) > SIGNIFICANT_SIGMAS * sigma:
+                yield pair
+
+
+def _resemble(one: Curve, other: Curve) -> bool:
+    """Return whether both are errors of one part that agree in more than half of their variance, or
+    curves of one name, whose shape need not stay.
+    """
+    if one.name == other.name or one.place.location_key != other.place.location_key:
+        return one.name == other.name
+    at = np.union1d(one.at, other.at)
+    first, second = (np.interp(at, curve.at, curve.value) for curve in (one, other))
+    return bool((first @ second) ** 2 > (first @ first) * (second @ second) / 2)
+
+
+def _size_sigma(curve: Curve) -> float:
+    """Return the standard deviation of a size, SI: the root mean square of those of its values."""
+    return float(np.sqrt(np.mean(curve.sigma**2)))
+
+
+def _places_read(closed: RunOutcome) -> set[tuple[float, ...]]:
+    """Return the setups and commands of all dials, rounded to a tenth of a millimetre."""
+    return {
+        (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
+        for campaign in closed.request.campaigns
+        for k, command in zip(campaign.setup, np.round(campaign.command, 4).tolist(), strict=True)
+        for s in (campaign.setups[k],)
+    }
+
+
+def located_words(located: Located) -> str:
+    """Return the likeliest place of a located error, and its alternatives."""
+    first, *others = located.members
+    alternatives = [f"{len(others)} other place{'s' * (len(others) > 1)}"] if others else []
+    alternatives += ["a fault of the readings"] if located.data else []
+    rivals = f" (or {', or '.join(alternatives)})" if alternatives else ""
+    return f"{first.words}{rivals}"

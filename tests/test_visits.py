@@ -1,0 +1,164 @@
+"""What is found goes out and comes back: in the files of a result, and at a later visit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import orthoglide as og
+from benchmarks import public
+from orthoglide.checking import Check, check
+from orthoglide.closing import RunOutcome, build_result
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_free_forms, with_jump
+from orthoglide.effects.free_form import FreeForm, Session, free_forms
+from orthoglide.effects.free_form_words import confirming_test
+from orthoglide.effects.wording import cause_words, confirm_words, difference_words
+from orthoglide.explanation.causes import curve_of
+from orthoglide.numerals import MINUS
+from orthoglide.result import Curve
+from tests import rig_campaigns as rc
+from tests.rig import Rig
+from tests.studied import studied
+from tests.test_steps import ERRORS, MACHINE, STROKE, one_way, stations
+
+# --- In files ---------------------------------------------------------------------------------
+
+FORMS = free_forms(Session(0.0, 3600.0))
+JUMPS = [
+    with_jump(jump, (1000.0, 1020.0) if form.against == "time" else (-0.0166, -0.0092), STROKE)
+    for form in FORMS
+    for jump in jumping(form)
+]
+BUMPS = travel_bumps([[-0.05, 0.0123]] * 3, CATALOGUE.legs, STROKE)
+KEPT = {form.name: form for form in (*FORMS, *JUMPS, *BUMPS) if form.of_machine}
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_what_is_read_back_says_the_same(name: str) -> None:
+    """A step was "the curve drive z travel -16 6to 9 2, number 1", to be an amplitude."""
+    form = KEPT[name]
+    coefficients = np.zeros(form.kernel.count)
+    coefficients[0] = -3.0
+    curve = found_curve(form, coefficients)
+    names = [*form.effect.motions]
+    values = dict(zip(names, (coefficients * form.prior_sd).tolist(), strict=True))
+    catalogue = with_free_forms(CATALOGUE, names, MACHINE.geometry).with_shapes(values)
+    effect = catalogue[form.effect.name]
+    pair = names[0].undirected
+    assert cause_words(catalogue, pair, values) == curve.words
+    by_number = {parameter.direction: value for parameter, value in values.items()}
+    assert effect.amplitude(by_number) == pytest.approx(curve.size, rel=1e-9)
+    (member, weights), *others = catalogue.structured_members(effect.name).items()
+    assert not others
+    assert [curve.size * weight for weight in weights.values()] == pytest.approx([*values.values()])
+    assert difference_words(catalogue, member) == f"error that {form.words}"
+    assert confirm_words(effect, pair, curve.size) == confirming_test(form, curve.size)
+    assert "_" not in difference_words(catalogue, names[0])
+    assert "_" not in catalogue.legs.effect_words(effect.name)
+
+
+def found_curve(form: FreeForm, coefficients: Any) -> Curve:
+    return curve_of(form, 1.0, STROKE, coefficients, np.eye(len(coefficients)))
+
+
+def test_a_sign_is_in_the_sentence_and_in_the_file() -> None:
+    """Only the test of a step said which way it goes."""
+    for form in (*JUMPS, *BUMPS):
+        coefficients = np.zeros(form.kernel.count)
+        sizes = []
+        for sign in (1.0, -1.0):
+            coefficients[0] = sign
+            curve = found_curve(form, coefficients)
+            assert np.sign(curve.size) == sign
+            assert f", by {'+' if sign > 0 else MINUS}" in curve.words
+            (size,) = (v for k, v in curve.derived().items() if k.startswith("size_"))
+            sizes.append(size)
+        assert sizes[0] == -sizes[1] > 0
+
+
+def test_the_name_of_a_step_keeps_its_travels() -> None:
+    said = CATALOGUE.legs.effect_words("drive_z_travel__16_6to_9_2")
+    assert said == f"drive z travel {MINUS}16.6 to {MINUS}9.2"
+
+
+# --- At a later visit -------------------------------------------------------------------------
+
+ROWS = stations(range(-100, 61, 20), 2)
+Fault = Callable[[float], Mapping[str, Any]]
+
+
+def of_rig(field: str, extra: Callable[[float], Any]) -> Fault:
+    return lambda value: {field: (extra(value),)}
+
+
+KINDS: dict[str, tuple[Fault, float]] = {
+    "step": (of_rig("extra", lambda v: rc.drive_step(0, v, -0.002)), 5e-4),
+    "dead spot": (of_rig("extra", lambda v: one_way(1, v, 0.026)), -5e-4),
+    "curve of a rail": (of_rig("extra", lambda v: rc.s_curve(0, 1, v)), 1.5e-4),
+    "curve of a drive": (of_rig("extra", lambda v: rc.drive_wave(1, v, 0.12)), 4e-4),
+    "jump in time": (of_rig("extra", lambda v: rc.jumping_drive(1, v, 1000.0)), 4e-4),
+}
+AGAIN = "jump in time"
+"""It happens at both visits; a calibrated machine stays where it is after the first."""
+
+
+def visit(kind: str, share: float, seed: int, name: str) -> og.Campaign:
+    fault, size = KINDS[kind]
+    rig = Rig(**{"errors": ERRORS, **fault(share * size)})
+    return public.campaign(rc.simulate(rig, ROWS, np.random.default_rng(seed)), name)
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def first(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A kind, its outcome at the first visit, and the folder of its result."""
+    outcome = studied([visit(request.param, 1.0, 9200, "old")], public.machine())
+    out = tmp_path_factory.mktemp("visits") / "out"
+    build_result(outcome, og.Verdict).report(out)
+    return request.param, outcome, out
+
+
+def later(first: tuple[str, RunOutcome, Path], share: float) -> tuple[Check, RunOutcome]:
+    """A later visit by the result and by the calibrated machine of the first."""
+    kind, _, out = first
+    now = visit(kind, share, 9250, "new")
+    return check(out, [now]), studied([now], og.Machine.load(out / "calibrated.toml"))
+
+
+@pytest.mark.thorough
+def test_an_unchanged_machine_is_unchanged(first: Any) -> None:
+    found, again = later(first, 1.0)
+    assert (found.changes, found.places) == ((), ())
+    if first[0] != AGAIN:
+        assert (again.word, again.changed, again.located) == ("adequate", (), ())
+
+
+@pytest.mark.thorough
+def test_a_repaired_error_shows_no_more(first: Any) -> None:
+    found, again = later(first, 0.0)
+    (gone,) = found.gone
+    assert gone.name == first[1].located[0].name
+    assert (found.changes, found.come, found.resized) == ((), (), ())
+    assert found.sentences[0].startswith("what was located before shows no more: ")
+    assert not again.effects
+    assert not again.located
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_an_error_that_grew_or_shrank_is_the_one_change(first: Any, share: float) -> None:
+    found, again = later(first, share)
+    assert not found.places
+    (change,) = found.changes
+    (located,) = first[1].located
+    assert change.parameter.effect in {m.place.effect.name for m in located.members}
+    assert change.before == pytest.approx(located.members[0].size, abs=4 * change.sigma)
+    assert change.after == pytest.approx(share * change.before, abs=4 * change.sigma)
+    assert f"the error that {located.members[0].place.words}" in change.what
+    if first[0] != AGAIN:
+        assert not again.effects
+        assert all(str(c.parameter).endswith(".size") for c in again.changed)
