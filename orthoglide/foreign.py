@@ -37,11 +37,12 @@ _OTHER_FILES = {  # of no machine: text that only such files contain, and what t
         r"(?i)^.*\bbed +x *:.*\by *:.*\bz *:", f"has Marlin's lines of touches{_PLATES_ADVICE}",
     ),
     "probe lines": (
-        r"\bprobe at \S+ is z=", f"has Klipper's lines of touches{_PLATES_ADVICE}",
+        r"\bprobe:? at \S+ (?:is|bed will contact at) z=",
+        f"has Klipper's lines of touches{_PLATES_ADVICE}",
     ),
     "grid": (
         r"(?i)\bbilinear leveling grid\b|\bbed topography report\b"
-        r"|\bmesh leveling probed z positions\b|^\s*\{\s*\"mesh\"",
+        r"|\bmesh leveling probed z positions\b|^\s*\{\s*\"mesh\"|^\s*\[\s*\[[-\d]",
         "is a grid of heights without the places that were touched: probe the plate again and save "
         "the lines that name x, y and z (Marlin prints 'Bed X: Y: Z:' with G29 V4, Klipper 'probe "
         "at X,Y is z=Z'), or write a table of x, y and z",

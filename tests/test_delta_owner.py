@@ -137,14 +137,14 @@ def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> No
     told, out = mesh_closed
     left = re.search(r"residuals, rms, mm ([\d.]+) ([\d.]+) ([\d.]+)", told)
     assert left is not None
-    assert float(left[2]) > 0.05 > 0.032 > float(left[3])
+    assert float(left[2]) == 0.05 > 0.032 > float(left[3])
     assert "the towers lean and their carriages with them, all by" in told
     result = json.loads((out / "result.json").read_text())
     page = (out / "report.html").read_text()
     text = " ".join(re.sub(r"<(style|script|svg).*?</\1>|<[^>]+>", " ", page, flags=re.S).split())
     assert "- Test each of the other causes above in the same way." in told
     rivals = [rival["words"] for effect in result["effects"] for rival in effect["rivals"]]
-    assert len(rivals) == 4
+    assert len(rivals) == 7
     assert all(text.count(words[1:]) > 1 for words in rivals)  # among causes, and to be looked at
     assert "imported with --turned NAME=60" in told
     sheet = "orthoglide design --owns distance --machine {} --out distance.csv"
@@ -162,10 +162,10 @@ def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> No
 def test_a_mesh_ends_in_a_class_and_in_numbers_for_the_firmware(
     mesh_closed: tuple[str, Path],
 ) -> None:
-    """FLSUN V400: six numbers leave 0.05 mm; tilted towers and the bed share what is left."""
+    """FLSUN V400: seven numbers leave 0.05 mm; tilted towers and the bed share what is left."""
     _, done = mesh_closed
     told = json.loads((done / "result.json").read_text())
-    assert told["before"]["rms_mm"] == pytest.approx(0.052, abs=0.002)
+    assert told["before"]["rms_mm"] == pytest.approx(0.0497, abs=0.002)
     assert told["after"]["rms_mm"] < 0.032
     assert told["verdict"] == "ambiguous"
     names = {n for e in told["effects"] for n in (e["name"], *e["indistinguishable_from"])}
@@ -185,8 +185,8 @@ def test_a_mesh_ends_in_a_class_and_in_numbers_for_the_firmware(
     )
     assert "measure distances" in second  # a level turns neither of the paths' errors
     for reason in (first, second):
-        assert f'it separates {lobes} from "the towers lean' in reason
-        assert '"the paths of the carriages are out of square' in reason
+        assert f'it separates {lobes} from "the paths of the carriages are out of square' in reason
+        assert '"the towers lean' in reason
     sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
     assert sheet in second
     page = (done / "report.html").read_text()

@@ -229,23 +229,17 @@ def test_heights_of_another_printer_are_no_changed_steps(tmp_path: Path) -> None
     assert found.machine.provenance["klipper"]["calibrate_again"] is True
 
 
-@pytest.mark.parametrize(
-    ("cause", "arms", "told"),
-    [
-        ("leg_length.common", r"\g<0>", True),
-        ("leg_length.common", "arm_length = 303.0", False),  # rods as entered are equal
-        ("axis_tilt.radial.common", r"\g<0>", False),
-    ],
-)
-def test_arms_that_the_firmware_fitted_are_numbers_not_rods(
-    cause: str, arms: str, told: bool, tmp_path: Path
+@pytest.mark.parametrize(("arms", "fitted"), [(r"\g<0>", True), ("arm_length = 303.0", False)])
+def test_arms_that_the_firmware_fitted_are_no_knowledge_of_the_rods(
+    arms: str, fitted: bool, tmp_path: Path
 ) -> None:
     """What a slip of a distance did to them was told as rods that are longer than nominal."""
-    found = imported(tmp_path, re.sub(r"arm_length = [0-9.]+", arms, V400.read_text()))
-    machine, rods = Machine(found.machine), SimpleNamespace(name=cause, parameters=(cause,))
-    rods.words, rods.confirm, rods.look_at = cause, "", "rods"
-    first = found.machine.printer.section(machine, machine, None, [rods]).first
-    assert ("probably as long as a calliper finds them" in first) == told
+    text = re.sub(r"arm_length = [0-9.]+", arms, V400.read_text())
+    spec = imported(tmp_path, text).machine
+    free = [sd for weights, sd in spec.shared_errors if "leg_length.a" in weights]
+    assert [*spec.fitted] == ["leg_length"] * fitted
+    assert (min(free, default=0.0) > 1e-3) == fitted
+    assert [*spec.entered] == ["leg_length"] * (not fitted)  # equal ones may be entered wrong
 
 
 # Lines above the header of SAVE_CONFIG ------------------------------------------------------------

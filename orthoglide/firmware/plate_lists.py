@@ -1,9 +1,10 @@
 """Lists of points of a plate that firmware or people wrote, as readings of a machine.
 
-Read are RepRapFirmware's ``heightmap.csv``, the lines ``Bed X: Y: Z:`` of Marlin's ``G29`` and
-``probe at X,Y is z=Z`` of Klipper's console within a log, other lines with ``X: Y: Z:``, and plain
-tables of x, y, z. A height is that of the nozzle when the plate was touched; a constant that is
-added to all heights of a list makes no difference.
+Read are RepRapFirmware's ``heightmap.csv``, the lines ``Bed X: Y: Z:`` of Marlin's ``G29``,
+``Z-probe: X: Y:`` of Repetier, ``probe: at X,Y bed will contact at z=Z`` of Klipper's console
+within a log, other lines with ``X: Y: Z:``, and plain tables of x, y, z. A height is that of the
+nozzle when the plate was touched; a constant that is added to all heights of a list makes no
+difference.
 """
 
 from __future__ import annotations

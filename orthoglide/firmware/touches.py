@@ -14,8 +14,13 @@ MIN_PLACES = 3
 
 _HEIGHT_MAP = re.compile(r"RepRapFirmware height map file", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?|nan"
-_LABELLED = [re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I) for axis in "xyz"]
-_CONSOLE = re.compile(rf"\bprobe at ({_NUMBER}),({_NUMBER}) is z=", re.I)  # of Klipper
+_LABELLED = [
+    re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I)
+    for axis in ("x", "y", "z(?:-probe)?")  # Z-probe: of Repetier
+]
+_CONSOLE = re.compile(  # of Klipper, which changed its words
+    rf"\bprobe:? at ({_NUMBER}),({_NUMBER}) (?:is|bed will contact at) z=", re.I
+)
 _BED_LINE = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # of a tool, not of a touch
 _BED_TEMPERATURE = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.I)  # in a log
@@ -191,12 +196,15 @@ def _read_table(lines: Sequence[str], file: str, touch_lists: TouchLists) -> Non
         elif (touch := _row(number, cells, columns)) and (name_count or len(cells) == 3):
             touch_lists.add(touch)
         else:
-            touch_lists.leave_out("no row of x, y and z", number, line)
+            numbers = len(cells) > 3 and all(math.isfinite(_number(c)) for c in cells)
+            reason = "numbers without names, as of a grid" if numbers else "no row of x, y and z"
+            touch_lists.leave_out(reason, number, line)
     touches = [t for part in touch_lists.lists for t in part]
     if len(touches) >= MIN_PLACES and all(max(abs(t.x), abs(t.y)) < _METRES_LIMIT for t in touches):
         raise FileError(
             "has all places within a millimetre of the centre: give millimetres, or the unit "
-            "behind the names of the columns (x_m)", file=file, line=touches[0].line,
+            "behind the names of the columns (x_m); of a grid of heights give each with its x and "
+            "y", file=file, line=touches[0].line,
         )  # fmt: skip
 
 

@@ -245,13 +245,13 @@ class Problem:
         return np.asarray(beyond & ~self.is_from_calibration)
 
     def without_common_error(self, x: Array) -> Array:
-        """Subtract the common mean from parameters ``x`` ``(P,)`` whose size the owner entered.
+        """Subtract the common mean from parameters ``x`` ``(P,)`` whose size was entered or fitted.
 
         A common error of such a set is a separate cause, and the tolerance of a single part does
         not limit it.
         """
         deviation, effects = np.array(x, dtype=float), [name.effect for name in self.names]
-        for effect in self.machine.spec.entered:
+        for effect in (*self.machine.spec.entered, *self.machine.spec.fitted):
             members = [k for k, other in enumerate(effects) if other == effect]
             if len(members) > 1:
                 deviation[members] -= deviation[members].mean()

@@ -144,6 +144,10 @@ MEASURED_TRAVEL = 0.1
 _DRIVE_SCALE_SD = 1e-3
 """Standard deviation of the scale between drives of one machine: belts stretch differently."""
 
+_FITTED_SCALE_SD = 4.2e-3
+"""Relative error of lengths that were fitted to the size of a printed part, which a firmware takes
+as true: the root mean square of a shrinkage of 0.3 +- 0.3 %."""
+
 _MAX_RELATIVE_DEVIATION = 0.5  # from the nominal length: beyond, the unit or the part is another
 
 Pair = tuple[float, float]
@@ -331,25 +335,48 @@ class MachineFile:
 
     @property
     def shared_errors(self) -> list[tuple[dict[str, float], float]]:
-        """Weights of parameters that are one number of the controller, and the standard deviation
-        of the error that they share beside their own ones, SI.
+        """Weights of parameters that are one number of a firmware, or that it fitted together, and
+        the standard deviation of the error that they share beside their own ones, SI.
         """
-        shared = self.catalogue.shared_tolerance if self.printer is not None else {}
+        shared = dict(self.catalogue.shared_tolerance) if self._has_belts else {}
+        for name, sd in self.fitted.items():
+            shared = {key: max(sd, other) for key, other in shared.items()}
+            shared[f"{name}.common"] = sd
         return [(self.catalogue.elementary_weights(name), sd) for name, sd in shared.items()]
 
     @property
     def entered(self) -> dict[str, float]:
         """Expected standard deviations, by effect, of the common error that parts of one set have
-        because their size was entered by hand, SI; at least the range of the entered values.
+        because their size was entered by hand, SI.
         """
-        common_sds = dict(self.catalogue.common_tolerance) if self._has_belts else {}
-        for name, sd in common_sds.items():
-            values = [
-                v.value for k, v in self.parameters.items()
-                if not v.sigma and self.catalogue.effect_of(k).name == name
-            ]  # fmt: skip
-            common_sds[name] = max(sd, float(np.ptp([0.0, *values])))
-        return common_sds
+        return {name: sd for name, sd in self._common_sds.items() if not self._stored_range(name)}
+
+    @property
+    def fitted(self) -> dict[str, float]:
+        """Expected standard deviations, by effect, of the common error of parts of one set whose
+        stored sizes differ, SI: nobody enters them so, they are a firmware's fit to distances.
+
+        They say nothing of the parts beyond these distances. A slip among them shows in the range
+        of the sizes, and the shrinkage of the print scales all of them.
+        """
+        return {
+            name: float(np.hypot(spread, _FITTED_SCALE_SD * self.geometry.L))
+            for name in self._common_sds if (spread := self._stored_range(name))
+        }  # fmt: skip
+
+    @property
+    def _common_sds(self) -> dict[str, float]:
+        return self.catalogue.common_tolerance if self._has_belts else {}
+
+    def _stored_range(self, name: str) -> float:
+        """Return the range of the values of an effect that are stored without a standard deviation
+        and of the nominal 0, SI.
+        """
+        values = [
+            v.value for k, v in self.parameters.items()
+            if not v.sigma and self.catalogue.effect_of(k).name == name
+        ]  # fmt: skip
+        return float(np.ptp([0.0, *values]))
 
 
 def default_machine_name(geometry: Geometry) -> str:

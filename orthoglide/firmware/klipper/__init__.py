@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from orthoglide.add_ons import Corrections, Paste, Section
-from orthoglide.effects import Catalogue
 from orthoglide.firmware.imported import Imported as Imported
 from orthoglide.firmware.klipper import provenance
 from orthoglide.firmware.klipper.corrections import make_paste
@@ -178,7 +177,7 @@ class Printer:
     ) -> Section:
         """Return the report's section on a calibrated machine."""
         again = _CALIBRATE_FIRST if self.calibrate_again else ""
-        reasons = (*(self.changed_since or (again,)), self._fitted_arms(given.catalogue, causes))
+        reasons = self.changed_since or (again,)
         first = " ".join(filter(None, (*reasons, self.doubts(calibrated))))
         catalogue, numbers = given.catalogue, dict[str, Any]()
         beyond = tuple(
@@ -189,21 +188,6 @@ class Printer:
             numbers = {"old": corrections.old.as_dict(), **corrections.kept}
         facts = {**numbers, "cannot_hold": list(beyond)}
         return Section(first, again, corrections, _TOUCH_ADVICE, _FIRMWARE_NUMBERS, beyond, facts)
-
-    def _fitted_arms(self, catalogue: Catalogue, causes: Sequence[Any]) -> str:
-        """Return that a cause which concerns the rods is an error of the arms that the firmware
-        fitted, a text; empty if none does, or if the arms are equal, as entered ones are.
-        """
-        of_rods = (catalogue.effect_of(cause.name).controller == "bar_length" for cause in causes)
-        if len(set(self.numbers.arm)) == 1 or not any(of_rods):
-            return ""
-        arms = ", ".join(f"{v * 1e3:.2f}" for v in self.numbers.arm)
-        return (
-            f"The firmware fitted arm_length ({arms} mm) to distances: where rods are named as "
-            f"longer or shorter than nominal, it is these numbers that are off, and the rods are "
-            f"probably as long as a calliper finds them. Measure a rod between its pivots, and "
-            f"give its length under [measured] of the machine file (rods_mm)."
-        )
 
     def paste(self) -> Paste:
         """Return the numbers that a calibrated machine keeps."""
