@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks import public
 from benchmarks.delta_readings import measured
 from orthoglide.errors import InputError
 from orthoglide.fit import Noise, assemble, noise_of, solve
@@ -17,6 +18,8 @@ from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
 from orthoglide.machine_file import Dial, Instrument
 from orthoglide.observations import Readings, protocol
 from orthoglide.planning.sheets import instrument_sheet
+from tests import rig_campaigns as rc
+from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 from tests.test_checking import delta
@@ -227,6 +230,36 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
         assert "the machine file says 0.01: correct repeatability under [instrument.tcp]" in note
         said = float(note.partition("scatter by ")[2].partition(" mm")[0])
         assert said == pytest.approx(times * 1e-2, rel=0.2)
+
+
+# -- one instrument noisier than all others -------------------------------------------------------
+
+
+def one_noisy(ratio: float, seed: int) -> list[rc.Row]:
+    """A sound machine's sweep without repeats, one of whose six dials has so many times the noise
+    that the machine file gives.
+    """
+    rows = rc.protocol_rows("sweep", repeats=1)
+    noise = np.where([row["setup"] == "yx-0.5" for row in rows], ratio, 1.0) * 5e-6
+    return rc.simulate(Rig(), rows, np.random.default_rng(seed), noise=noise, background=0.015)
+
+
+@pytest.mark.parametrize("seed", [9500, 9501])
+def test_a_dial_far_noisier_than_the_others_is_no_error_of_the_machine(seed: int) -> None:
+    """Rails that bend by approach or travel, or the dial's stand by time, were named for it."""
+    found = studied(public.campaign(one_noisy(5.0, seed)), public.machine())
+    assert (found.word, list(found.effects), list(found.located)) == ("adequate", [], [])
+    (fault,) = found.blunders
+    assert (fault.kind, fault.setups) == ("noisy", ("yx-0.5",))
+    assert "times as noisy" in fault.message
+    problem = found.after.problem
+    noisy = np.array([s.name == "yx-0.5" for s in problem.setups])[problem.setup_of_row]
+    assert problem.reading_sd[noisy].min() > 2.5 * problem.reading_sd[~noisy].max()
+
+
+def test_a_dial_with_the_noise_of_the_others_is_not_named() -> None:
+    found = studied(public.campaign(one_noisy(1.0, 9500)), public.machine())
+    assert (found.word, list(found.blunders)) == ("adequate", [])
 
 
 # -- instruments whose noise is known from a few repeats -------------------------------------------

@@ -296,6 +296,10 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     foretold = cov[:10, 10:] @ np.linalg.solve(cov[10:, 10:], residual[10:])
     difference = wide.deletion(own, np.zeros(n)).difference
     assert difference == pytest.approx(2 * (residual[:10] - foretold))
+    far = np.where(np.arange(n) < 10, 20.0, 1.0) * residual
+    noisier = [cov + np.diag((ratio**2 - 1) * (np.arange(n) < 10)) for ratio in (1.5, 4.0)]
+    gains = [log_likelihood(far, one) - log_likelihood(far, cov) for one in noisier]
+    assert replace(wide, residual=far).noise_gains(own, (1.5, 4.0)) == pytest.approx(gains)
     columns, placed, rest = rng.standard_normal((10, causes)), np.full((10, 1), 50.0), residual[::3]
     moved = np.vstack([columns, machine[10:]])
     other = np.eye(n) + moved @ moved.T
@@ -324,6 +328,10 @@ def test_readings_with_equal_rows_are_weighed_by_their_sums(causes: int) -> None
         one, other = (w.deletion(rows, change[:, 1]) for w in (sums, dense))
         assert one.difference == pytest.approx(other.difference)
         assert one.gain == pytest.approx(other.gain)
+    far = np.where(group < 5, 20.0, 1.0) * residual
+    one, other = (replace(w, residual=far).noise_gains(setup, (2.0, 9.0)) for w in (sums, dense))
+    assert one == pytest.approx(other)
+    assert (one > 0).all()
     again, placed, rest = rng.standard_normal((5, causes)), np.ones((15, 1)), residual[::2]
     labelled = [w.relabelled(setup, again[group[setup]], placed, rest) for w in (sums, dense)]
     one, other = (w.log_likelihood(no_change) for w in labelled)

@@ -159,6 +159,22 @@ def test_noise_from_repeats_is_held_against_fisher() -> None:
     assert stats.chi2.sf(between, dof) < 0.7 * expected
 
 
+def test_the_density_of_readings_over_their_datums() -> None:
+    """Against wide normal datums, and with one setup three times as noisy."""
+    found, densities, expected = fitted(), list[float](), list[float]()
+    problem, nuisance = found.problem, found.nuisance
+    for scale in (1.0, 3.0):
+        sigma = np.where(problem.setup_of_row == 2, scale, 1.0) * problem.sigma
+        noisier = replace(nuisance, weighing=replace(problem.weighing, sigma=sigma))
+        densities.append(noisier.log_density(problem.weighted))
+        precision = np.where(nuisance.precision > 0, nuisance.precision, 1.0)
+        wide = (nuisance.columns / precision) @ nuisance.columns.T
+        inverse = noisier.weighing.whiten(np.eye(len(sigma)))
+        full = np.linalg.inv(inverse.T @ inverse) + wide
+        expected.append(-float(np.linalg.slogdet(full)[1]) / 2)
+    assert np.diff(densities) == pytest.approx(np.diff(expected), rel=1e-4)
+
+
 def test_priors_are_no_question_to_the_readings() -> None:
     found = fitted()
     here = normal_equations(found.problem, found.at, found.nuisance)

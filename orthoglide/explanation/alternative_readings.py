@@ -14,6 +14,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from orthoglide.explanation.assumed_noise import NO_NOISE_RATIO
 from orthoglide.explanation.faults import (
     MISREADING_KINDS,
     Fault,
@@ -22,6 +23,7 @@ from orthoglide.explanation.faults import (
     setups_of,
     weighted_rows,
 )
+from orthoglide.explanation.linear_model import NOISE_SCALES
 from orthoglide.fit import Problem
 from orthoglide.fit.repeats import GRID_TOLERANCE, on_grid
 from orthoglide.geometry import Array
@@ -29,6 +31,12 @@ from orthoglide.units import INCH, UNIT_MISTAKES
 
 EXPECTED_COUNT = 0.5 / 6
 """Prior mean number of misreadings of each kind: half of one for the six kinds of most sheets."""
+
+NOISE_RATIOS = tuple(
+    ratio for scale in NOISE_SCALES if (ratio := float(np.hypot(1.0, scale))) < NO_NOISE_RATIO
+)
+"""Ratios of a setup's noise to that assumed: on the grid of larger noise of all readings, as far as
+it is noise of an instrument."""
 
 _INCH_STEP = 1e-7  # metres: step of readings in inches that were taken for millimetres
 _MOST_DIGIT_EVIDENCE = 10.0  # log Bayes factor: one sheet in 20 000 may break any rule
@@ -41,12 +49,15 @@ _DEGREE = np.pi / 180 / 1e-3  # a reading in degrees that was taken for millirad
 RowsBySetup = Mapping[int, Rows]
 
 
-def setups_to_reinterpret(problem: Problem, faults: Sequence[Fault]) -> dict[int, Rows]:
-    """Return the weighted rows of each dial's setup in which no misreading was found, in the order
-    they were taken.
+def setups_to_reinterpret(
+    problem: Problem, faults: Sequence[Fault], setups: Sequence[int] | None = None
+) -> dict[int, Rows]:
+    """Return the weighted rows of each dial's setup, or of those given, in which no misreading was
+    found, in the order they were taken.
     """
     misread = {s for f in faults if f.kind in MISREADING_KINDS for s in setups_of(problem, f)}
-    weighted = {s: weighted_rows(problem, s) for s in problem.leg_setups if s not in misread}
+    chosen = problem.leg_setups if setups is None else setups
+    weighted = {s: weighted_rows(problem, s) for s in chosen if s not in misread}
     return {s: rows for s, rows in weighted.items() if len(rows) > 1}
 
 
@@ -54,6 +65,17 @@ def alternative_readings(problem: Problem, rows_by_setup: RowsBySetup) -> Iterat
     """Yield every sign, unit, label, exchange, shift and stuck run of dials."""
     generators = (_signs, _units, _labels, _exchanges, _shifts, _stuck)
     return (one for kind in generators for one in _sharing_prior(kind(problem, rows_by_setup)))
+
+
+def noisy_setups(rows_by_setup: RowsBySetup) -> list[Fault]:
+    """Return larger noise of each setup, whose size follows from a fit. That of a single one is the
+    noise of all readings, which the search varies.
+
+    They share the prior of that noise, which is rare: its log odds are those by which alternatives
+    must win (`RARE_LOG_PRIOR`).
+    """
+    log_odds, every = -float(np.log(max(len(rows_by_setup), 1))), rows_by_setup.values()
+    return [Fault("noisy", rows, log_odds=log_odds) for rows in every if len(every) > 1]
 
 
 def _sharing_prior(kind: Iterable[Fault]) -> list[Fault]:
@@ -117,7 +139,7 @@ def _shifts(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
 
 def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
     """Yield every run of equal readings over several postures that is long enough."""
-    place_odds = -float(np.log(sum(map(len, rows_by_setup.values()))))  # it may begin anywhere
+    reading_count = sum(map(len, rows_by_setup.values()))
     for rows in rows_by_setup.values():
         commands = problem.dial_column("command")
         finest = max(_finest_step(problem.measured[rows]), 1e-7)
@@ -132,7 +154,7 @@ def _stuck(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
             # A stuck dial shows all but the first reading with certainty; a working one with the
             # probability of its rounding step at most.
             odds = float(np.log(np.maximum(sigma * np.sqrt(2 * np.pi) / step, 1.0))[1:].sum())
-            odds += place_odds
+            odds -= float(np.log(reading_count))  # it may begin at any of them
             if len(run) < len(rows):  # otherwise the first reading is the datum
                 odds += float(np.log(sigma[0] * np.sqrt(2 * np.pi) / _LOST_RANGE))
             yield Fault("stuck", run, log_odds=odds)

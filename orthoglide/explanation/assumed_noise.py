@@ -15,7 +15,6 @@ from orthoglide.errors import InputError
 from orthoglide.explanation.faults import Fault, Rows, factors_and_rows, fault_message
 from orthoglide.fit import Factor, Problem
 from orthoglide.fit.noise import noise_of, rms_noise
-from orthoglide.fit.repeats import common_rounding
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.repetition import repeat_rows, repeat_steps
@@ -24,7 +23,7 @@ from orthoglide.ordering import best_of
 _LEAST_NOISE_SQUARE = 1e-4  # least ratio of squared noise: computed readings have none
 _ROUNDS = 6  # rounds of leaving out outliers: 12 changed no result
 
-_SCATTER_LIMIT, _SCATTER_LIMIT_OF_TOOL = 3.0, 10.0
+_SCATTER_LIMIT, NO_NOISE_RATIO = 3.0, 10.0
 """Ratios to the expected scatter of a dial, and of an instrument at the tool, beyond which repeats
 are not noise. If the noise was declared, the second applies to dials too, relative to all dials."""
 
@@ -59,7 +58,7 @@ def find_scattered_setups(problem: Problem) -> list[Fault]:
         step = float(factor.noise.step[own_rows].max())
         limit = _SCATTER_LIMIT * max(_expected_noise(factor, own_rows), step)
         if not factor.noise.from_repeats[own_rows].all():  # declared
-            limit = _SCATTER_LIMIT_OF_TOOL * float(np.median(factor.noise.total))
+            limit = NO_NOISE_RATIO * float(np.median(factor.noise.total))
         differences = _successive_differences(factor.readings.subset(own_rows))
         fault = Fault("scatter", rows, _robust_scatter(differences, step))
         candidates.append((fault, len(differences) >= _FEWEST_DIFFERENCES and fault.size > limit))
@@ -87,7 +86,7 @@ def check_scatter(problem: Problem) -> None:
         if not len(setup_rows) or not factor.noise.from_repeats[setup_rows].any():
             continue
         size = float(np.sqrt(np.mean(factor.noise.total[setup_rows] ** 2)))
-        if size > _SCATTER_LIMIT_OF_TOOL * _expected_noise(factor, setup_rows):
+        if size > NO_NOISE_RATIO * _expected_noise(factor, setup_rows):
             rows = setup_rows + problem.factor_rows[k].start
             messages.append(fault_message(problem, Fault("scatter", rows, size)))
     if messages:
@@ -165,13 +164,8 @@ def with_refuted_noise_enlarged(problem: Problem) -> Problem:
             if dof:
                 count, dof_before = refuted.get(kind, (0, 0.0))
                 refuted[kind] = count + int(np.sum(scale[of_kind] > 1)), dof_before + dof
-        noise, enlarged = factor.noise, scale > 1
-        total = noise.total * scale
-        common = np.where(enlarged, common_rounding(total, noise.step), noise.common)
-        sigma = np.sqrt(np.maximum(total**2 - common**2, 0.0))
-        larger_noise = replace(noise, sigma=np.where(enlarged, sigma, noise.sigma), common=common)
-        factors.append(replace(factor, noise=larger_noise))
-        scales += scale[noise.weighted].tolist()
+        factors.append(replace(factor, noise=factor.noise.enlarged(scale)))
+        scales += scale[factor.noise.weighted].tolist()
     if not scales or max(scales) <= 1:
         return problem
     typical = problem.noise.typical * float(np.median(scales))
@@ -246,7 +240,8 @@ def with_smaller_noise(problem: Problem, squares: Mapping[str, float]) -> Proble
 def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None = None) -> Problem:
     """Return the problem with the noise of repeats estimated again from weighted rows.
 
-    Rows ``excluded`` ``(n,)`` do not contribute, but get the median of that noise.
+    Rows ``excluded`` ``(n,)`` do not contribute, but get the median of that noise. Setups that are
+    noisier than the others neither contribute nor get it.
     """
     noise = problem.noise
     kinds = set[str]()
@@ -256,13 +251,14 @@ def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None 
         return problem
     left_out = np.zeros(len(problem.measured), dtype=bool) if excluded is None else excluded
     parts = zip(problem.factors, problem.factor_rows, strict=True)
-    pairs = [(f, f.noise.weighted & ~left_out[part]) for f, part in parts]
+    alike = [f.noise.weighted & (f.noise.source != "residuals") for f in problem.factors]
+    pairs = [(f, own & ~left_out[part]) for (f, part), own in zip(parts, alike, strict=True)]
     tables = [f.readings.subset(used) for f, used in pairs]
     steps = [f.noise.step[used] for f, used in pairs]
     noise_again, rows = noise_of(tables, problem.machine.spec, steps=steps)
     factors = []
-    for (factor, used), new in zip(pairs, rows, strict=True):
-        of_kinds = np.isin(factor.readings.kind, list(kinds)) & factor.noise.weighted
+    for (factor, used), own, new in zip(pairs, alike, rows, strict=True):
+        of_kinds = np.isin(factor.readings.kind, list(kinds)) & own
         if len(counted := np.flatnonzero(of_kinds[used])):
             median = counted[np.argsort(new.sigma[counted])[len(counted) // 2]]
             row_of_new = np.full(len(used), median)

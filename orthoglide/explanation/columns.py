@@ -101,6 +101,13 @@ class LinearisedModel:
         """Number of the catalogue's parameters, whose coefficients come first."""
         return len(self.problem.unknowns)
 
+    @property
+    def log_constant(self) -> float:
+        """Log likelihood that all explanations share: of what no coefficient moves, and of the
+        noise, by which readings of other noise are compared.
+        """
+        return self.nuisance.log_density(self.problem.weighted) - self.unexplainable_chi2 / 2
+
     def with_hidden_faults(self, active: Iterable[tuple[str, float]]) -> LinearisedModel | None:
         """Return the model with the data faults too that are likely beside active groups only,
         given by names and taus; ``None`` if there are none, or not all faults are considered.

@@ -56,6 +56,8 @@ def _with_fault_corrected(problem: Problem, fault: Fault) -> Problem:
     match fault.kind:
         case "command":
             return _with_tables_changed(problem, fault, _with_command_corrected)
+        case "noisy":
+            return _with_larger_noise(problem, fault)
         case _ if fault.kind in DATUM_KINDS:
             return _with_tables_changed(problem, fault, _with_datums_split)
         case _ if fault.relabels:
@@ -86,6 +88,17 @@ def corrected_readings(problem: Problem, fault: Fault) -> tuple[Array, Rows]:
         case "sign" | "unit":
             measured[rows] *= fault.size
     return measured, lost
+
+
+def _with_larger_noise(problem: Problem, fault: Fault) -> Problem:
+    """Return the problem with so many times the noise of some rows as their residuals show."""
+    scale, factors = np.ones(len(problem.measured)), []
+    scale[fault.rows] = fault.size
+    for factor, part in zip(problem.factors, problem.factor_rows, strict=True):
+        noise = factor.noise.enlarged(scale[part])
+        source = np.where(scale[part] > 1, "residuals", noise.source)
+        factors.append(replace(factor, noise=replace(noise, source=source)))
+    return replace(problem, factors=tuple(factors))
 
 
 def _with_rate_free(problem: Problem, fault: Fault) -> Problem:

@@ -13,7 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orthoglide.errors import InputError, NumericsError
-from orthoglide.explanation.alternative_readings import alternative_readings, setups_to_reinterpret
+from orthoglide.explanation.alternative_readings import (
+    alternative_readings,
+    noisy_setups,
+    setups_to_reinterpret,
+)
 from orthoglide.explanation.assumed_noise import (
     check_scatter,
     find_scattered_setups,
@@ -108,7 +112,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         if squares := _smaller_noise_squares(first):  # larger noise would hide a fault
             smaller = fit_nested(with_smaller_noise(base.problem, squares))
             either = first, posterior_with_corrected_commands(smaller)
-            posterior = best_of(either, _log_evidence, LOG_ODDS_MARGIN)
+            posterior = best_of(either, lambda p: p.evidence, LOG_ODDS_MARGIN)
             base = base if posterior is first else smaller
         misreading = _find_misreading(base, posterior, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
@@ -240,13 +244,6 @@ def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
     return usual if min(usual.values()) < _SCATTERED_REPEATS else {}
 
 
-def _log_evidence(posterior: FullPosterior) -> float:
-    """Return the log evidence of the best explanation, with that of the size of the noise."""
-    problem = posterior.before.problem
-    noise = problem.reading_sd[problem.weighted]
-    return posterior.evidence - float(np.log(noise).sum())
-
-
 def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
     """Return the ratio of the squared noise of the best explanation to that assumed, by kind of
     reading, because the noise of one instrument alone may be overstated.
@@ -278,7 +275,12 @@ def _find_misreading(
     better than they stand; ``None`` if there is none.
     """
     rows_by_setup = setups_to_reinterpret(base.problem, faults)
-    alternatives = alternative_readings(base.problem, rows_by_setup)
+    alternatives = [*alternative_readings(base.problem, rows_by_setup)]
+    # Without dials, larger noise of a few distances or touches would hide faults of single ones.
+    if rows_by_setup:
+        every = range(len(base.problem.setups))
+        rows_by_setup = setups_to_reinterpret(base.problem, faults, every)
+        alternatives += noisy_setups(rows_by_setup)
     return likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
 
 

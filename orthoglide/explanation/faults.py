@@ -20,7 +20,7 @@ from orthoglide.units import UNIT_MISTAKES
 
 Kind = Literal[
     "outlier", "knocked_stand", "zeroed", "command", "sign", "label", "exchanged_labels", "shifted",
-    "unit", "turns", "stuck", "scatter", "moved", "drifted",
+    "unit", "turns", "stuck", "noisy", "scatter", "moved", "drifted",
 ]  # fmt: skip
 Rows = NDArray[np.int64]
 
@@ -28,9 +28,9 @@ DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 """Faults whose rows get a separate datum."""
 
 MISREADING_KINDS: tuple[Kind, ...] = (
-    "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck",
+    "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck", "noisy",
 )  # fmt: skip
-"""Faults of which the readings stand for others, with which the search continues."""
+"""Faults of which the readings stand for others, or for less, with which the search continues."""
 
 EXCLUDED_KINDS: tuple[Kind, ...] = ("outlier", "command", "stuck", "scatter")
 """Faults of which the true readings are unknown, or the command is known from these readings alone:
@@ -50,9 +50,10 @@ class Fault:
     # stacked faulty readings, in the order they were taken; for a knocked stand the readings after
     # the knock, for dials set to zero anew those after the first repeat
     rows: Rows
-    # outlier or knock: metres; unit: factor; shifted: number of rows by which readings stand too
-    # late; turns: metres that one turn of the hand shows; exchanged_labels: 1 if the labels are
-    # exchanged, 0 if the readings are, the first half of the rows with the second
+    # outlier or knock: metres; unit: factor; noisy: factor of the noise; shifted: number of rows by
+    # which readings stand too late; turns: metres that one turn of the hand shows;
+    # exchanged_labels: 1 if the labels are exchanged, 0 if the readings are, the first half of the
+    # rows with the second
     size: float = 0.0
     label: tuple[int, int] = (0, 0)  # wrong label: the leg and axis that fit
     drive: int | None = None  # whose command is wrong: by size, the commanded less the written
@@ -229,6 +230,15 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
             return (
                 f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
                 f"be {UNIT_MISTAKES[fault.size]}: put this setup into millimetres"
+            )
+        case "noisy":
+            parts = "dial, its stand and its leg"
+            if not setup.observation.on_leg:
+                parts = "instrument and its stand"
+            return (
+                f"the readings of this setup are {compact(fault.size, 2)} times as noisy as is "
+                f"assumed, and count for so much less: look for what is loose on this {parts}, and "
+                f"read the setup again"
             )
         case "turns":
             extremes = sorted({min(fault.sizes), max(fault.sizes)})

@@ -8,6 +8,7 @@ deviations. Alternative readings r' have the log likelihood
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -28,6 +29,10 @@ Scales = tuple[float, float]
 WIDEST_DATUM = 1e-2
 """Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians:
 half the range of a dial."""
+
+_NOISY = 2.0
+"""Standard deviations by which the squares of a setup exceed their mean before larger noise is
+considered: at fewer, it gains less than the log odds against it."""
 
 _ROUNDING = 1e-12  # of entries of S^-1, which are 1 or less: sums of some thousand products
 
@@ -164,14 +169,8 @@ class FullLikelihood:
         weighted = self._weighted_as_read
         if change is not None and change.any():
             weighted = self._weighted(self.residual + self.weighing.whiten(change))
-        present, of_row, count = np.unique(
-            self.group[rows], return_inverse=True, return_counts=True
-        )
-        share, no_noise = np.sqrt(count / self._counts[present]), np.eye(len(present))
-        block = self._root[present] @ self._root[present].T
-        hat = no_noise - block if self._is_wide else block
-        inverse_block = (1 + _ROUNDING) * no_noise - share[:, None] * hat * share
-        cholesky = np.asarray(np.linalg.cholesky(inverse_block), dtype=np.float64)
+        present, of_row, count = self._rows_of(rows)
+        cholesky = np.asarray(np.linalg.cholesky(self._inverse_block(present, count)))
         sums = np.bincount(of_row, weighted[rows]) / np.sqrt(count)
         differences = weighted[rows] - (sums / np.sqrt(count))[of_row]
         whitened = solve_triangular(cholesky, sums, lower=True)
@@ -182,6 +181,41 @@ class FullLikelihood:
             self.weighing.subset(rows).metres(difference), float(whitened @ whitened) + scatter,
             _log_determinant(cholesky), scatter, len(present),
         )  # fmt: skip
+
+    def _rows_of(self, readings: Rows) -> tuple[Rows, Rows, Rows]:
+        """Return the different rows ``(k,)`` of some readings, the index of each reading's row
+        among them, and how many of the readings have each.
+        """
+        return np.unique(self.group[readings], return_inverse=True, return_counts=True)
+
+    def _inverse_block(self, present: Rows, count: Rows) -> Array:
+        """Return the block of ``S^-1`` ``(k, k)`` of ``count`` readings of each of some rows."""
+        share, no_noise = np.sqrt(count / self._counts[present]), np.eye(len(present))
+        block = self._root[present] @ self._root[present].T
+        hat = no_noise - block if self._is_wide else block
+        return np.asarray((1 + _ROUNDING) * no_noise - share[:, None] * hat * share)
+
+    def noise_gains(self, rows: Rows, ratios: Sequence[float]) -> Array:
+        """Return the gain of log likelihood if the noise of some readings is so many times larger
+        ``(r,)``; zeros where their squares are no larger than expected.
+
+        With the block B of ``S^-1`` and w of ``S^-1 r``, noise of a variance larger by v changes
+        the log likelihood by ``v w^T (1 + v B)^-1 w / 2 - ln|1 + v B| / 2``.
+        """
+        present, of_row, count = self._rows_of(rows)
+        inverse, weighted = self._inverse_block(present, count), self._weighted_as_read[rows]
+        sums, scatter_dof = np.bincount(of_row, weighted) / np.sqrt(count), len(rows) - len(count)
+        expected = np.trace(inverse) + scatter_dof
+        spread = np.sqrt(2 * (np.sum(inverse**2) + scatter_dof))
+        if weighted @ weighted < expected + _NOISY * spread:
+            return np.zeros(len(ratios))
+        values, vectors = np.linalg.eigh(inverse)
+        squares, added = (vectors.T @ sums) ** 2, np.array(ratios)[:, None] ** 2 - 1
+        scatter = max(float(weighted @ weighted - sums @ sums), 0.0)
+        values, squares = np.append(values, 1.0), np.append(squares, scatter)
+        dof = np.append(np.ones(len(sums)), scatter_dof)
+        gains = added * squares / (1 + added * values) - dof * np.log1p(added * values)
+        return np.asarray(gains.sum(axis=1) / 2)
 
     def relabelled(
         self, rows: Rows, columns: Array, instruments: Array, residual: Array

@@ -78,7 +78,7 @@ class FullPosterior:
         """Log evidence of the best explanation, less the log factor of widened base priors."""
         log_widths = np.log([u.prior_width for u in self.before.problem.unknowns])
         log_weight = self.mixture.log_weight(self.mixture.best)
-        return float(log_weight - self.linearised.unexplainable_chi2 / 2 - log_widths.sum())
+        return float(log_weight + self.linearised.log_constant - log_widths.sum())
 
     def data_fault(self, member: int, group: int) -> Fault:
         """Return the data fault of a group with its size, in the place of an active group."""

@@ -9,13 +9,16 @@ residual of the readings, and then from what the readings with these turns corre
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
     EXPECTED_COUNT,
+    NOISE_RATIOS,
     RowsBySetup,
     alternative_readings,
     level_readings,
@@ -25,7 +28,7 @@ from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
-from orthoglide.explanation.faults import Fault, Rows, setups_of, weighted_rows
+from orthoglide.explanation.faults import Fault, Rows, factors_and_rows, setups_of, weighted_rows
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
     Deletion,
@@ -36,11 +39,11 @@ from orthoglide.explanation.full_likelihood import (
 from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Estimate, Problem, solve
-from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.least_squares import linearise
 from orthoglide.fit.plausible import exchanged_drives, sigma_scale_within
 from orthoglide.geometry import Array
 from orthoglide.observations import source
-from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending, largest
 
 _MOST_RANKED = 3  # alternatives that are searched in full: 6 changed no result
 
@@ -186,22 +189,34 @@ def _rank(
         limits[s] = max(
             float(without[part].max() - log) for part, log in zip(selections, as_read, strict=True)
         )
+    relabelled = dict[int, Fault]()
     for k, fault in enumerate(alternatives, 1):
-        if fault.relabels:
-            limit = sum(limits[s] for s in setups_of(problem, fault))
-            if fault.log_odds + limit > least:
-                logs[:, k] = _relabelled_log_likelihoods(model, likelihoods, fault) - costs
-            else:
-                logs[:, k] = -np.inf
+        if fault.kind == "noisy":
+            gains = np.array([w.noise_gains(fault.rows, NOISE_RATIOS) for w in likelihoods])
+            size = largest(np.logaddexp.reduce(logs[:, :1] + gains, axis=0))
+            alternatives[k - 1] = replace(fault, size=NOISE_RATIOS[size])
+            logs[:, k] += gains[:, size]
+        elif fault.relabels:
+            relabelled[k], logs[:, k] = fault, -np.inf
         elif len(lost[k - 1]):
-            changes, rows = all_changes[:, k], lost[k - 1]
-            logs[:, k] += [w.deletion(rows, changes).gain for w in likelihoods]
+            logs[:, k] += [w.deletion(lost[k - 1], all_changes[:, k]).gain for w in likelihoods]
+    priors = np.array([fault.log_odds for fault in alternatives])
+
+    def all_log_odds() -> list[Array]:
+        """Return the log odds of all alternatives ``(K,)`` by each selection."""
+        pairs = zip(selections, as_read, strict=True)
+        return [priors + np.logaddexp.reduce(logs[of, 1:], axis=0) - log for of, log in pairs]
+
+    # Other labels are the most expensive, and are left out where enough others are likelier.
+    enough = [odds[descending(odds)[:_MOST_RANKED]][-1] for odds in all_log_odds()]
+    for k, fault in relabelled.items():
+        limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
+        if limit > max(least, min(enough)):
+            logs[:, k] = _relabelled_log_likelihoods(model, likelihoods, fault) - costs
     ranked_odds = dict[int, float]()
-    for part, log_as_read in zip(selections, as_read, strict=True):
-        log_odds = np.array([fault.log_odds for fault in alternatives])
-        log_odds += np.logaddexp.reduce(logs[part, 1:], axis=0) - log_as_read
-        for k in descending(log_odds, LOG_ODDS_MARGIN)[:_MOST_RANKED]:
-            ranked_odds[k] = max(float(log_odds[k]), ranked_odds.get(k, -np.inf))
+    for odds in all_log_odds():
+        for k in descending(odds, LOG_ODDS_MARGIN)[:_MOST_RANKED]:
+            ranked_odds[k] = max(float(odds[k]), ranked_odds.get(k, -np.inf))
     return [(odds, alternatives[k]) for k, odds in ranked_odds.items() if odds > least]
 
 
@@ -232,16 +247,20 @@ def _relabelled_log_likelihoods(
     places.
     """
     corrected, changed = with_faults_corrected(model.problem, [fault]), np.sort(fault.rows)
-    linearised = linearise(corrected, model.point)
-    jacobian = linearised.jacobian[changed]
-    count = jacobian.shape[1]
+    places = np.array(factors_and_rows(corrected, changed))
+    parts = {  # all other readings stay as they are
+        k: corrected.factors[k].subset(places[places[:, 0] == k, 1])
+        for k in np.unique(places[:, 0]).tolist()
+    }
+    linearised = linearise(corrected, model.point, parts)
+    jacobian, count = linearised.jacobian, linearised.jacobian.shape[1]
     rows = np.zeros((len(changed), len(model.units)))
     in_model = model.rows.blocks[0][0].any(axis=0)  # all but parameters that a twin represents
     rows[:, :count] = jacobian * model.units[:count] * in_model
-    residual = (corrected.measured - linearised.value)[changed] + jacobian @ model.point
-    nuisance = nuisances(corrected, linearised.reading_poses)
-    placed = nuisance.columns[changed] / np.sqrt(np.maximum(nuisance.precision, WIDEST_DATUM**-2.0))
-    placed = placed[:, placed.any(axis=0)]
+    residual = corrected.measured[changed] - linearised.value + jacobian @ model.point
+    poses = zip(parts.values(), linearised.reading_poses, strict=True)
+    blocks = [factor.nuisances(of_factor) for factor, of_factor in poses]
+    placed = block_diag(*(b.columns * np.minimum(b.sd, WIDEST_DATUM) for b in blocks))
     logs = []
     for likelihood in likelihoods:
         columns, expected = in_standard_deviations(

@@ -7,12 +7,15 @@ and ``W``, ``t`` are the priors. The nuisances z are linear and are projected ou
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.fit.factors import Factor
+from orthoglide.fit.noise import NO_WEIGHT
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
@@ -34,10 +37,10 @@ class Linearised:
     reading_poses: tuple[ReadingPoses, ...]  # poses in which each factor's readings are taken
 
 
-def linearise(problem: Problem, x: Array) -> Linearised:
-    """Return the predicted rows of all factors and their derivatives."""
+def linearise(problem: Problem, x: Array, parts: Mapping[int, Factor] | None = None) -> Linearised:
+    """Return the predicted rows of all factors, or of parts of some, and their derivatives."""
     by_factor = []
-    for k, factor in enumerate(problem.factors):
+    for k, factor in (dict(enumerate(problem.factors)) if parts is None else parts).items():
         names, matrix = problem.elementary_parameters(k)
         linear = factor.linearise(problem.machine.model, problem.values(k, x), names)
         by_factor.append((linear.value, linear.jacobian @ matrix, linear.reading_poses))
@@ -126,6 +129,21 @@ class Nuisances:
         readings = self.weighing.subset(first)
         weighing = replace(readings, sigma=readings.sigma / np.sqrt(counts))
         return Nuisances(self.columns[first], self.precision, weighing)
+
+    def log_density(self, weighted: NDArray[np.bool_]) -> float:
+        """Return the log density of readings that are as predicted, over all nuisances and up to a
+        constant: ``-(ln|C| + ln|U^T C^-1 U + precision|) / 2`` with their covariance C. Readings
+        without weight count as with it.
+
+        Args:
+            weighted: whether each reading has weight ``(n,)``.
+        """
+        gram = self.augmented.T @ self.augmented
+        length = np.sqrt(np.diag(gram))
+        values = np.linalg.eigvalsh(gram / length / length[:, None])
+        of_noise = self.weighing.log_determinant - 2 * np.log(NO_WEIGHT) * np.sum(~weighted)
+        of_nuisances = 2 * np.log(length).sum() + np.log(values[values > _RANK_TOLERANCE]).sum()
+        return -float(of_noise + of_nuisances) / 2
 
     def project(self, rows: Array) -> Array:
         """Return rows ``(n, ...)``, whitened, with the nuisances projected out ``(n + k, ...)``."""

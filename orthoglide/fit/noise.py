@@ -32,9 +32,9 @@ from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.units import NOISE_LIMITS
 
-NoiseSource = Literal["declared", "machine", "repeats", "usual"]
+NoiseSource = Literal["declared", "machine", "repeats", "residuals", "usual"]
 """Source of a standard deviation; ``machine``: the machine file, and in summaries also the usual
-figure of a kind."""
+figure of a kind; ``residuals``: larger noise of one setup, as the search found it."""
 
 NO_WEIGHT = 1e6
 """Factor on the standard deviation of a reading without weight: of a million million such readings,
@@ -88,6 +88,15 @@ class RowNoise:
     def subset(self, rows: NDArray[Any]) -> RowNoise:
         """Return the noise of some rows, by indices or booleans ``(n,)``."""
         return RowNoise(*(values[rows] for values in vars(self).values()))
+
+    def enlarged(self, scale: Array) -> RowNoise:
+        """Return the noise with standard deviations that many times larger ``(n,)``, where it is
+        more than once; visits then share less of their rounding.
+        """
+        total, larger = self.total * scale, scale > 1
+        common = np.where(larger, common_rounding(total, self.step), self.common)
+        sigma = np.sqrt(np.maximum(total**2 - common**2, 0.0))
+        return replace(self, sigma=np.where(larger, sigma, self.sigma), common=common)
 
     def without_weight(self, rows: NDArray[np.bool_]) -> RowNoise:
         """Return the noise with some rows ``(n,)``, booleans, without any weight."""

@@ -38,6 +38,7 @@ _ORIGINS = {
     "declared": "as declared",
     "repeats": "from their repeats",
     "machine": "as the machine file has it",
+    "residuals": "from their residuals",
     "usual": "the usual figure",
 }
 
@@ -114,7 +115,10 @@ def noisy_repeats(estimate: Estimate) -> Iterator[Note]:
     problem = estimate.problem
     for kind in sorted(problem.noise.refuted):
         setups = [scale for scale in noise_scales(estimate) if scale.setup.kind == kind]
-        enlarged = [(s.noise.sigma > s.noise.expected) & ~s.noise.from_repeats for s in setups]
+        enlarged = [
+            (s.noise.sigma > s.noise.expected) & ~np.isin(s.noise.source, ("repeats", "residuals"))
+            for s in setups
+        ]
         noisy = [scale for scale, rows in zip(setups, enlarged, strict=True) if rows.any()]
         origin = noisy[0].origin if noisy else "usual"
         if origin not in ("declared", "machine"):

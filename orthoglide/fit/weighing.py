@@ -55,6 +55,11 @@ class Weighing:
         square = np.bincount(self.station, self.weight**2)[self.station]
         return np.sqrt(1 + self.common**2 * square)
 
+    @property
+    def log_determinant(self) -> float:
+        """Log determinant of the covariance, metres squared."""
+        return 2 * float(np.log(self.sigma).sum() + np.log(self._stretch[self.first_rows]).sum())
+
     def station_components(self, rows: Array) -> Array:
         """Part of whitened rows ``(n, ...)`` along each station's direction ``(stations, ...)``."""
         order, starts = self._sorted

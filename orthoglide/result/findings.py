@@ -29,6 +29,7 @@ FAULT_NAMES = {
     "unit": "a wrong unit",
     "turns": "readings whole turns of the hand off",
     "stuck": "a dial that stuck",
+    "noisy": "a setup noisier than assumed",
     "scatter": "visits that do not repeat",
     "moved": "an instrument that was moved",
     "drifted": "an instrument that drifted",
@@ -390,8 +391,7 @@ class CandidateScore:
     name: str  # name of the cause or free-form error
     parameters: tuple[str, ...]  # parameters of the cause; empty for a free-form error
     probability: Share  # that it is larger than the background of small errors
-    # log Bayes factor for that, conditional on the other causes found
-    evidence: Share
+    evidence: Share  # log Bayes factor for that, conditional on the other causes found
     words: str = ""  # the cause without its size, a clause
 
     def derived(self) -> dict[str, Any]:
