@@ -179,5 +179,5 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
     assert within == (
         "nothing else changed beyond its uncertainty: joint offset of leg y +0.010 ± 0.010 mm"
     )
-    assert "need no change" in beyond
+    assert "needs no change" in beyond
     assert "joint offset of leg z +0.050 ± 0.010 mm" in beyond

@@ -45,7 +45,7 @@ class Check(Framed):
         old: names of the campaigns of the old state.
         new: names of the campaigns of the new state.
         closed: the machine as it is now, from the new readings alone.
-        differences: of the base parameters, of the causes found and of what changed.
+        differences: differences of the base parameters, of the causes found and of what changed.
         moves: plates that lie elsewhere than before.
         gone: errors located in the old state that show no more.
         come: errors located in the new state that did not show before.
@@ -132,8 +132,8 @@ class Check(Framed):
             sentences.append(f"{what} changed beyond its uncertainty: {', '.join(within)}")
         if beyond:
             sentences.append(
-                f"of these the two states differ, each by itself, but all readings together need "
-                f"no change of them: {', '.join(beyond)}"
+                f"these differ between the two states, each closed by itself, but a fit of all "
+                f"readings needs no change of them: {', '.join(beyond)}"
             )
         return tuple(sentences)
 
@@ -188,8 +188,8 @@ def check(
     if noise is None:
         noise = max((s.noise for s in states if s.noise is not None), default=None)
     before, after = with_distinct_names(*(state.given for state in states))
-    # A fit has the dials first and assigns readings of the tool to the last state, so old ones are
-    # omitted if the new state has dials.
+    # A fit takes readings of the tool as those of the last state, so old ones are left out of the
+    # fit of all readings where the new state has dials.
     with_dials = not all(one.of_tool for one in after)
     kept = [one for one in before if not (with_dials and one.of_tool)]
     request = Request("close-loop", (*kept, *after), states[1].machine, (), noise, seed)
@@ -200,7 +200,6 @@ def _comparison(
     request: Request, before: Sequence[Readings], after: Sequence[Readings], progress: Progress
 ) -> Check:
     """Return the comparison of two states; ``request`` has the readings to close together."""
-    # Alternatives of a change make the old state ambiguous, but not the new one.
     closed_before, closed = (
         compute_outcome(replace(request, given=tuple(side)), progress) for side in (before, after)
     )
@@ -273,7 +272,7 @@ def _separate_differences(
     closed_before: RunOutcome, closed_now: RunOutcome, files: tuple[str, str]
 ) -> Iterator[Change]:
     """Yield the parameters that both states determine by themselves, with the uncertainty of each,
-    because different instruments see different errors.
+    for states that no fit of all readings compares.
     """
     names = dict.fromkeys([*_compared_parameters(closed_before), *_compared_parameters(closed_now)])
     rivals = {
@@ -287,16 +286,17 @@ def _separate_differences(
         if not all(name in posterior.names for posterior in posteriors):
             continue
         before, after = (machine.values.get(name, 0.0) for machine in machines)
-        variance = 0.0
+        variances = list[float]()
         for posterior in posteriors:
             k, conditional = posterior.names.index(name), posterior.conditional_variance
-            # An error that readings did not show is small in a sound machine, but may be large.
+            # A cause that was not found has a small variance, as machines are mostly sound; if it
+            # is there all the same, its variance is the conditional one.
             alone = 0.0 if conditional is None else float(conditional[k])
-            variance += max(float(posterior.covariance[k, k]), alone)
-        sigma = float(np.sqrt(variance))
+            variances.append(max(float(posterior.covariance[k, k]), alone))
+        sigma, sigma_after = np.sqrt([sum(variances), variances[-1]]).tolist()
         change = Change(
             {catalogue.parameter(name): after - before}, catalogue, "", files, before, after,
-            sigma, sigma, rivals=rivals.get(name, ()),
+            sigma, sigma_after, rivals=rivals.get(name, ()),
         )  # fmt: skip
         yield replace(change, changed=change.is_significant)
 

@@ -17,7 +17,7 @@ from orthoglide.result import Curve, Located
 class SizedError(NamedTuple):
     """An error that was located in either state and has a size in both."""
 
-    shape: Effect  # with the shape that it was found with
+    shape: Effect  # with the shape of the old state, or of the new one if it is located there alone
     old: Located | None  # as located in the old state
     new: Located | None  # as located in the new state
     rivals: tuple[str, ...]  # the other places where it may be, a clause each
@@ -25,24 +25,25 @@ class SizedError(NamedTuple):
 
 def errors_with_size(before: RunOutcome, now: RunOutcome) -> Iterator[SizedError]:
     """Yield the errors located in either state that one parameter represents, each once."""
-    of_both = set[int]()
+    matched = set[int]()
     for old in filter(_has_one_shape, before.located):
         curves = _curves_of_one_shape(old)
         curve, new = curves[0], None
         for member, (k, other) in product(curves, enumerate(now.located)):
-            if k not in of_both and any(_resemble(member, one) for one in other.members):
+            if k not in matched and any(_resemble(member, one) for one in other.members):
                 curve, new = member, other
-                of_both.add(k)
+                matched.add(k)
                 break
         yield _sized(curve, old, new)
     for k, new in enumerate(now.located):
-        if k not in of_both and _has_one_shape(new):
+        if k not in matched and _has_one_shape(new):
             yield _sized(_curves_of_one_shape(new)[0], None, new)
 
 
 def _sized(curve: Curve, old: Located | None, new: Located | None) -> SizedError:
     shape = curve.place.shape_effect(curve.coefficients)
-    members = [member for one in (new or old,) if one is not None for member in one.members]
+    located = new or old
+    members = () if located is None else located.members
     rivals = tuple(m.place.words for m in members if m.place.words != curve.place.words)
     return SizedError(shape, old, new, rivals)
 
@@ -77,9 +78,9 @@ def _has_one_shape(located: Located) -> bool:
 
 
 def located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Located, ...]:
-    """Return the errors located in the first state, of those without a size in both, that neither
-    a located error nor a cause at their legs explains in the second; none if the states were read
-    at different places.
+    """Return the errors located in the first state, of those that no size represents, that no
+    located error and no cause at the same leg explains in the second; none unless dials read both
+    states at the same places.
     """
     if not _places_read(first) or _places_read(first) != _places_read(second):
         return ()
@@ -97,8 +98,8 @@ def located_only_in_first(first: RunOutcome, second: RunOutcome) -> tuple[Locate
 
 
 def resized(before: RunOutcome, now: RunOutcome) -> Iterator[tuple[Curve, Curve]]:
-    """Yield the likeliest curves of each error without a parameter that is located in both states
-    with significantly different sizes.
+    """Yield a curve of either state for errors that no size represents and that are located in
+    both, where their sizes differ significantly.
     """
     for old, new in product(before.located, now.located):
         pairs = product(old.members, new.members)
@@ -110,23 +111,27 @@ def resized(before: RunOutcome, now: RunOutcome) -> Iterator[tuple[Curve, Curve]
 
 
 def _resemble(one: Curve, other: Curve) -> bool:
-    """Return whether both are errors of one part that agree in more than half of their variance, or
-    curves of one name, whose shape need not stay.
+    """Return whether both have one name, or move one part alike: with a squared correlation above
+    one half, of either sign.
     """
-    if one.name == other.name or one.place.location_key != other.place.location_key:
-        return one.name == other.name
+    if one.name == other.name:
+        return True
+    if one.place.location_key != other.place.location_key:
+        return False
     at = np.union1d(one.at, other.at)
     first, second = (np.interp(at, curve.at, curve.value) for curve in (one, other))
     return bool((first @ second) ** 2 > (first @ first) * (second @ second) / 2)
 
 
 def _size_sigma(curve: Curve) -> float:
-    """Return the standard deviation of a size, SI: the root mean square of those of its values."""
-    return float(np.sqrt(np.mean(curve.sigma**2)))
+    """Return the standard deviation of a size, SI: that of the largest value."""
+    return float(curve.sigma[np.abs(curve.value).argmax()])
 
 
 def _places_read(closed: RunOutcome) -> set[tuple[float, ...]]:
-    """Return the setups and commands of all dials, rounded to a tenth of a millimetre."""
+    """Return the setups and commands of all dials; gauges are rounded to a millimetre, commands to
+    a tenth of one.
+    """
     return {
         (s.leg, s.axis, s.bar, round(s.gauge, 3), *command)
         for campaign in closed.request.campaigns

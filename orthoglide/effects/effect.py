@@ -74,8 +74,8 @@ class Effect:
         per_setup: whether it belongs to the way in which a part was measured, not to the part.
         names: of legs and directions, of the layout that it belongs to.
         points: preposition before the direction of a positive value, such as "toward".
-        size_of: of a paired effect: its size, SI, by the values of its parameters, SI, by what
-            follows the leg in their names; by default the amplitude.
+        size_of: of a paired effect: function from its parameters, as direction to value, SI, to its
+            size, SI; by default the amplitude.
         shape: of such an effect on a calibrated machine: its parameters for one unit of its size.
     """
 

@@ -149,7 +149,7 @@ class FreeForm:
 
     @property
     def has_one_shape(self) -> bool:
-        """Whether `shape_effect` represents it: on one leg, in a model, without order."""
+        """Whether `shape_effect` represents it: on one leg, in a model, not by order of reading."""
         return self.in_model and self.leg >= 0 and (self.against != "time" or self.timed)
 
     @property
@@ -201,7 +201,7 @@ class FreeForm:
 
     def size_of(self, values: Mapping[str, float]) -> float:
         """Return its size by the values of its effect's parameters, SI, by their numbers."""
-        if "" in values:  # of what they have in common
+        if "" in values:  # of `shape_effect`, whose parameter is its size
             return values[""]
         _, functions = self.sampled
         mean = [values.get(str(k + 1), 0.0) for k in range(functions.shape[1])]
@@ -216,7 +216,7 @@ class FreeForm:
 
     def shape_effect(self, coefficients: Array) -> Effect:
         """Return the effect of the error with the shape that it was found with: its one parameter
-        is its size. A jump in time happens in each session.
+        is its size. A jump in time recurs in every campaign.
 
         ``coefficients``: its mean ``(k,)``, in their prior standard deviations.
         """

@@ -38,7 +38,7 @@ def _test_of_parameter(form: FreeForm, _: Parameter, size: float) -> str:
 
 
 def size_place(part: str) -> str:
-    """Return where an error of a part that grows with the travel has its size."""
+    """Return the travel at which the size of an error that grows with it is stated, a clause."""
     return " half a stroke from mechanical zero" * (part == "screw")
 
 
@@ -122,8 +122,8 @@ def look_at(form: FreeForm) -> str:
 
 
 def size_words(form: FreeForm, size: float) -> str:
-    """Return the absolute value of a size, SI, with its unit, and whether it is a root mean
-    square.
+    """Return the absolute value of a size, SI, with its unit, and whether it is a root mean square
+    about a mean that is part of the zeros.
     """
     unit = "mrad" if form.is_rotation else "mm"
     return f"{compact(abs(size) * 1e3, 2)} {unit}{'' if form.has_level else ' rms'}"
@@ -142,7 +142,9 @@ _DIAL_REVERSAL_TEST = (
 
 
 def confirming_test(form: FreeForm, size: float) -> str:
-    """Return the test that shows lost motion or a step of some size, SI; empty for other errors."""
+    """Return the test that shows lost motion or a step of a size, SI, at a drive, a rail, the
+    platform or a dial; empty for other errors.
+    """
     words = size_words(form, size)
     if form.of_dial:
         return _DIAL_REVERSAL_TEST.format(words) if form.depends_on_approach else ""

@@ -91,7 +91,7 @@ def corrected_readings(problem: Problem, fault: Fault) -> tuple[Array, Rows]:
 
 
 def _with_larger_noise(problem: Problem, fault: Fault) -> Problem:
-    """Return the problem with so many times the noise of some rows as their residuals show."""
+    """Return the problem with the noise of a fault's rows multiplied by its size."""
     scale, factors = np.ones(len(problem.measured)), []
     scale[fault.rows] = fault.size
     for factor, part in zip(problem.factors, problem.factor_rows, strict=True):

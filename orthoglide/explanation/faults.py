@@ -30,7 +30,7 @@ DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 MISREADING_KINDS: tuple[Kind, ...] = (
     "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck", "noisy",
 )  # fmt: skip
-"""Faults of which the readings stand for others, or for less, with which the search continues."""
+"""Faults of readings that are mislabelled, rescaled or noisier, with which the search continues."""
 
 EXCLUDED_KINDS: tuple[Kind, ...] = ("outlier", "command", "stuck", "scatter")
 """Faults of which the true readings are unknown, or the command is known from these readings alone:

@@ -30,9 +30,9 @@ WIDEST_DATUM = 1e-2
 """Largest standard deviation of a nuisance of an instrument, such as a datum, metres or radians:
 half the range of a dial."""
 
-_NOISY = 2.0
-"""Standard deviations by which the squares of a setup exceed their mean before larger noise is
-considered: at fewer, it gains less than the log odds against it."""
+_LEAST_EXCESS = 2.0
+"""Standard deviations by which the squares of a setup must exceed their mean before larger noise is
+considered: an excess of z gains ``z^2 / 2`` at most, 2 at two, against log odds of 3 at least."""
 
 _ROUNDING = 1e-12  # of entries of S^-1, which are 1 or less: sums of some thousand products
 
@@ -207,7 +207,7 @@ class FullLikelihood:
         sums, scatter_dof = np.bincount(of_row, weighted) / np.sqrt(count), len(rows) - len(count)
         expected = np.trace(inverse) + scatter_dof
         spread = np.sqrt(2 * (np.sum(inverse**2) + scatter_dof))
-        if weighted @ weighted < expected + _NOISY * spread:
+        if weighted @ weighted < expected + _LEAST_EXCESS * spread:
             return np.zeros(len(ratios))
         values, vectors = np.linalg.eigh(inverse)
         squares, added = (vectors.T @ sums) ** 2, np.array(ratios)[:, None] ** 2 - 1

@@ -65,7 +65,8 @@ def likeliest_misreading(
     other_evidence: float = -np.inf,
     background_scales: Sequence[Scales] = BACKGROUND_SCALES,
 ) -> Fault | None:
-    """Return the misreading that explains the readings clearly better; ``None`` if there is none.
+    """Return the misreading, or the noisy setup, whose evidence exceeds that of the readings as
+    they stand by `TWENTY_TO_ONE`; ``None`` if there is none.
 
     Args:
         base: fit to the readings as they stand.
@@ -166,8 +167,8 @@ def _rank(
     least: float,
 ) -> list[tuple[float, Fault]]:
     """Return the alternative readings whose log odds against the readings as they stand exceed
-    ``least``, each after its log odds: the likeliest whichever of the active groups of the readings
-    as they stand remain, and then the likeliest if none does. There are none of too many readings.
+    ``least``, each after its log odds: the three likeliest over all backgrounds, and the three over
+    those without active groups; none of more than `MOST_RANKED_READINGS` readings.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if len(problem.measured) > MOST_RANKED_READINGS or not (alternatives := [*alternatives]):
@@ -207,7 +208,7 @@ def _rank(
         pairs = zip(selections, as_read, strict=True)
         return [priors + np.logaddexp.reduce(logs[of, 1:], axis=0) - log for of, log in pairs]
 
-    # Other labels are the most expensive, and are left out where enough others are likelier.
+    # Other labels take most time, and are left out where three others exceed their usual gain.
     enough = [odds[descending(odds)[:_MOST_RANKED]][-1] for odds in all_log_odds()]
     for k, fault in relabelled.items():
         limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
@@ -243,8 +244,8 @@ def _backgrounds(
 def _relabelled_log_likelihoods(
     model: LinearisedModel, likelihoods: Sequence[FullLikelihood], fault: Fault
 ) -> Array:
-    """Return the log likelihoods ``(b,)`` of readings under other labels, with setups at unknown
-    places.
+    """Return the log likelihoods ``(b,)`` of readings under other labels, with free datums and
+    placements of their setups.
     """
     corrected, changed = with_faults_corrected(model.problem, [fault]), np.sort(fault.rows)
     places = np.array(factors_and_rows(corrected, changed))
@@ -277,7 +278,7 @@ HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
 _DIVISION_RANGE = (40, 300)
 """Fewest and most divisions of a turn. Dials have 50 (0.5 mm by hundredths) to 200, and 254 appear
 where inches were converted (2.54 mm by hundredths); the next ones, 25 and 500, are no dials: 0.254
-mm by hundredths and 0.5 mm by thousandths. The limits are near the geometric means."""
+mm by hundredths and 0.5 mm by thousandths. The limits lie between."""
 _USUAL_DIVISIONS = (100, 200)  # divisions of most dials
 _ROUNDS = 4  # corrections of the turns
 _EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
@@ -319,7 +320,7 @@ def _are_turns(off: Array, station: Rows) -> bool:
     """Return whether readings in time order ``(k,)`` may be off by turns.
 
     A single one is a slip, and a single step is a knocked stand. At least half of the stations must
-    be off by the same turns at each visit, because the hand is read at the same place.
+    that are off be so by the same turns at each visit, because the hand stands at one division.
     """
     affected = np.unique(station[off != 0])
     constant = sum(np.ptp(off[station == s]) == 0 for s in affected)
@@ -329,15 +330,15 @@ def _are_turns(off: Array, station: Rows) -> bool:
 
 def _turn_alternative(problem: Problem, dials: RowsBySetup, off: Array, turn: float) -> Fault:
     affected = [rows for rows in dials.values() if off[rows].any()]
-    log_count = sum(_log_count_of_turns(problem, rows, off[rows], turn) for rows in affected)
+    log_cost = sum(_log_cost_of_turns(problem, rows, off[rows], turn) for rows in affected)
     all_rows = np.flatnonzero(off)
-    log_odds, sizes = float(np.log(EXPECTED_COUNT)) - log_count, tuple(off[all_rows].tolist())
+    log_odds, sizes = float(np.log(EXPECTED_COUNT)) - log_cost, tuple(off[all_rows].tolist())
     return Fault("turns", all_rows, turn, sizes=sizes, log_odds=log_odds)
 
 
 def _whole_turns(residual: Array, turn: float) -> Array:
-    """Return the whole turns in the residual of a setup ``(k,)`` with any datum, less their most
-    frequent number.
+    """Return the whole turns in the residual of a setup ``(k,)``, whose datum is free, relative to
+    their most frequent number.
     """
     turns = residual / turn
     datum = np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi)
@@ -360,10 +361,10 @@ def _joint_turns(likelihood: FullLikelihood, rows: RowsBySetup, turn: float) -> 
     return np.zeros(len(residual))
 
 
-def _log_count_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
+def _log_cost_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
     """Return the log number of equally plausible ways in which a setup is off by turns, up or down:
-    all readings within one turn from some station on, or each station by up to its number of turns.
-    Dials with other or unknown divisions than the usual ones are rare.
+    by one turn from some station on, if all readings lie within a turn, or each station by up to
+    its number of turns. Dials with other or unknown divisions than the usual ones cost more.
     """
     divisions = turn / max(float(problem.resolution[rows].max()), 1e-300)
     unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else TWENTY_TO_ONE

@@ -1,8 +1,9 @@
 """Screening of data faults: a score test of all of them, after which few are kept.
 
-With ``S = 1 + A D A^T`` the covariance of whitened readings over a background, and r their
-residual, the columns F of a fault give its log Bayes factor from ``F^T S^-1 F`` and ``F^T S^-1
-r``, with no cause active or beside those that a search has found: a large cause hides a fault.
+With ``S = 1 + A D A^T + B B^T`` the covariance of whitened readings (A their columns, D the
+variances of a background, B the columns of active groups) and r their residual, the columns F of a
+fault give its log Bayes factor from ``F^T S^-1 F`` and ``F^T S^-1 r``: with no cause active, or
+beside those that a search has found, because a large cause hides a fault.
 """
 
 from __future__ import annotations
@@ -25,9 +26,11 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 
 _KEPT_PER_KIND = 10  # faults kept of each kind, for each background: 20 changed no result
 _SCREENING_MARGIN = 5.0
-"""Log odds that a fault may lack to be active alone: another fault may hide as much of it."""
+"""Log odds by which a fault may fall short of being active alone, as another fault may hide it."""
 
-_BACKGROUNDS = (0.003, 0.1, 1.0)  # tolerances: each may hide or imitate a data fault
+_BACKGROUNDS = (0.003, 0.1, 1.0)
+"""Tolerances of a sound, a usual and a poor machine, each of which may hide or imitate a fault."""
+
 _MOST_DENSE_NUMBERS = 2e6  # 16 MB of columns of faults, above which they are scored sparsely
 
 
@@ -100,8 +103,8 @@ class Screening:
                 mean = sd * mean[: len(sd)] + active @ mean[len(sd) :]
                 remaining = self.residual - self.rows @ mean
                 remaining = remaining - self.nuisance.explained_residual(remaining)
-                # That other coefficients can imitate a fault is neglected, as for few columns among
-                # many readings.
+                # That other coefficients can imitate a fault is neglected: they are few among many
+                # readings.
                 weight = 1 / self.problem.reading_sd
                 remaining = remaining * weight
                 scored = [((f.columns * weight[f.rows, None]).transpose(0, 2, 1), remaining[f.rows])

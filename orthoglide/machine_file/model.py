@@ -45,7 +45,7 @@ class Dial(Instrument):
     """Accuracy of the dial on the legs, metres.
 
     Attributes:
-        placement: standard deviation of its place along a leg.
+        placement: standard deviation of its position along a leg.
     """
 
     resolution: float = 1e-5
@@ -60,10 +60,10 @@ class Controller:
     # +1 where it counts away from the origin, -1 where toward it
     sign: tuple[int, int, int] = (1, 1, 1)
 
-    def to_rho(self, travel: ArrayLike, geometry: Geometry) -> Array:
+    def to_rho(self, shown: ArrayLike, geometry: Geometry) -> Array:
         """Return commands ``(..., 3)`` from controller values ``(..., 3)``, both metres."""
-        shown = np.asarray(travel, dtype=float)
-        return geometry.zero + np.array(self.sign) * (shown - np.array(self.zero))
+        difference = np.asarray(shown, dtype=float) - np.array(self.zero)
+        return geometry.zero + np.array(self.sign) * difference
 
     def from_rho(self, rho: ArrayLike, geometry: Geometry) -> Array:
         """Return controller values ``(..., 3)`` from commands ``(..., 3)``, both metres."""
@@ -145,8 +145,8 @@ _DRIVE_SCALE_SD = 1e-3
 """Standard deviation of the scale between drives of one machine: belts stretch differently."""
 
 _FITTED_SCALE_SD = 4.2e-3
-"""Relative error of lengths that were fitted to the size of a printed part, which a firmware takes
-as true: the root mean square of a shrinkage of 0.3 +- 0.3 %."""
+"""Relative error of bars that were fitted to sizes of a printed part, whose shrinkage the firmware
+ignores: the root mean square of 0.3 +- 0.3 %."""
 
 _MAX_RELATIVE_DEVIATION = 0.5  # from the nominal length: beyond, the unit or the part is another
 
@@ -294,7 +294,7 @@ class MachineFile:
 
     @property
     def firmware(self) -> str:
-        """Mark of the firmware's numbers with which travel was computed; empty if none."""
+        """Identifier of the firmware's numbers with which travel was computed; empty if none."""
         return str(firmware_table(self.provenance)[1].get(MARK_KEY, ""))
 
     @cached_property
@@ -336,7 +336,8 @@ class MachineFile:
     @property
     def shared_errors(self) -> list[tuple[dict[str, float], float]]:
         """Weights of parameters that are one number of a firmware, or that it fitted together, and
-        the standard deviation of the error that they share beside their own ones, SI.
+        the standard deviation of the error that they share beside their own ones, SI. A radius that
+        was fitted together with wrong arms errs by as much as these.
         """
         shared = dict(self.catalogue.shared_tolerance) if self._has_belts else {}
         for name, sd in self.fitted.items():
@@ -354,10 +355,11 @@ class MachineFile:
     @property
     def fitted(self) -> dict[str, float]:
         """Expected standard deviations, by effect, of the common error of parts of one set whose
-        stored sizes differ, SI: nobody enters them so, they are a firmware's fit to distances.
+        stored sizes differ from each other or from the nominal one, SI: nobody enters them so, they
+        are a firmware's fit to distances.
 
-        They say nothing of the parts beyond these distances. A slip among them shows in the range
-        of the sizes, and the shrinkage of the print scales all of them.
+        Fitted sizes say no more of the parts than these distances do. A wrong distance widens the
+        range of the sizes, and shrinkage of the print scales all.
         """
         return {
             name: float(np.hypot(spread, _FITTED_SCALE_SD * self.geometry.L))
@@ -369,8 +371,8 @@ class MachineFile:
         return self.catalogue.common_tolerance if self._has_belts else {}
 
     def _stored_range(self, name: str) -> float:
-        """Return the range of the values of an effect that are stored without a standard deviation
-        and of the nominal 0, SI.
+        """Return the range of the values of an effect that are stored without a standard deviation,
+        0 included, SI.
         """
         values = [
             v.value for k, v in self.parameters.items()
