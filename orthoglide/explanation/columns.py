@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -108,19 +108,21 @@ class LinearisedModel:
         """
         return self.nuisance.log_density(self.problem.weighted) - self.unexplainable_chi2 / 2
 
-    def with_hidden_faults(self, active: Iterable[tuple[str, float]]) -> LinearisedModel | None:
-        """Return the model with the data faults too that are likely beside active groups only,
-        given by names and taus; ``None`` if there are none, or not all faults are considered.
+    def with_hidden_faults(self, slab_root: Array) -> LinearisedModel | None:
+        """Return the model with the data faults too that are likely beside active groups only;
+        ``None`` if there are none, or not all faults are considered.
+
+        Args:
+            slab_root: of the active groups of the machine ``(C, k)``.
         """
-        of_machine = {g.name for g in self.linear.groups if not g.of_data}
-        beside = [(name, tau) for name, tau in active if name in of_machine]
-        if self.screening is None or not beside:
+        if self.screening is None or not slab_root.any():
             return None
         known = [group.source for group in self.linear.groups if group.of_data]
         names = {fault.name for fault in known}
-        hidden = [f for f in self.screening.likeliest(beside) if f.name not in names]
         rows, linear = self.screening.rows, self.screening.linear
-        units = self.units[: linear.columns.shape[1]]
+        count = linear.columns.shape[1]  # without data faults, which come last
+        hidden = [f for f in self.screening.likeliest(slab_root[:count]) if f.name not in names]
+        units = self.units[:count]
         without = replace(self, units=units, rows=rows, linear=linear, screening=None)
         return _with_data_faults(without, [*known, *hidden]) if hidden else None
 

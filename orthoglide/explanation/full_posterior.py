@@ -374,7 +374,7 @@ def _posterior_at(
     start = () if previous is None else previous.mixture.active_groups
     linearised = linearise_full_model(before, point, corrected, suspected_faults)
     mixture = Mixture(linearised.linear, given, start)
-    if more := linearised.with_hidden_faults(mixture.active_groups):
+    if more := linearised.with_hidden_faults(mixture.machine_slab_root):
         linearised, mixture = more, Mixture(more.linear, given, mixture.active_groups)
     return FullPosterior(before, linearised.at_mean(mixture.mean, mixture.likely_groups), mixture)
 

@@ -200,6 +200,12 @@ class Mixture(Search):
             blocks[-1][group.coefficients] = group.weights * tau * group.unit
         return np.hstack(blocks)
 
+    @property
+    def machine_slab_root(self) -> Array:
+        """That of the groups of the machine in the best state ``(C, q)``."""
+        groups = self.linear.groups
+        return self.slab_root(tuple((k, tau) for k, tau in self.best if not groups[k].of_data))
+
     def likeliest_moments(self, state: State, index: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return mean ``(C,)`` and covariance ``(k, k)`` in a state at its likeliest scales."""
         return self.moments(state, self._likeliest_scale(state), index)

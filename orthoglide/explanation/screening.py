@@ -8,7 +8,7 @@ beside those that a search has found, because a large cause hides a fault.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,12 +45,12 @@ class Screening:
     residual: Array  # readings less the prediction at zero (n,)
     linear: LinearModel  # rows and residual, whitened and projected
 
-    def likeliest(self, beside: Iterable[tuple[str, float]] = ()) -> list[FaultColumns]:
+    def likeliest(self, slab_root: Array | None = None) -> list[FaultColumns]:
         """Return the faults with the largest log Bayes factors, of each kind and for each
         background, and those of corrected commands.
 
         Args:
-            beside: names of active groups with their taus.
+            slab_root: of groups that are active beside them ``(C, k)``; of none where absent.
         """
         if not self.families:
             return []
@@ -61,24 +61,14 @@ class Screening:
         expected = np.array([f.expected_count for f in self.families])
         least = np.log(len(SLAB_SCALES) / expected)[family] - _SCREENING_MARGIN
         chosen = {int(starts[k]) for k, f in enumerate(self.families) if f.corrected}
-        for gains in self._gains(self._active_columns(beside)):
+        no_groups = np.zeros((self.linear.columns.shape[1], 0))
+        for gains in self._gains(no_groups if slab_root is None else slab_root):
             chosen.update(_best_of_each_kind(kinds, gains, least))
         return [self.families[family[k]][k - starts[family[k]]] for k in sorted(chosen)]
 
-    def _active_columns(self, groups: Iterable[tuple[str, float]]) -> Array:
-        """Return the coefficients of active groups at one sd of their slabs ``(C, k)``."""
-        count = self.linear.columns.shape[1]
-        blocks, scales = [np.zeros((count, 0))], dict(groups)
-        for group in self.linear.groups:
-            if group.name in scales:
-                block = np.zeros((count, group.size))
-                block[group.coefficients] = scales[group.name] * group.unit * group.weights
-                blocks.append(block)
-        return np.hstack(blocks)
-
     def _gains(self, active: Array) -> Iterator[Array]:
-        """Yield the log Bayes factors of all faults ``(N,)`` for each background, with active
-        groups ``(C, k)`` beside it.
+        """Yield the log Bayes factors of all faults ``(N,)`` for each background, with the slab
+        root ``(C, k)`` of active groups beside it.
         """
         columns, whitened_residual = self.linear.columns, self.linear.residual
         n = len(self.residual)
