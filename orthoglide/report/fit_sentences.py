@@ -21,10 +21,10 @@ _MOST_NAMED_WEAK = 4  # parameters of a weak direction that its sentence names
 
 def improvement_words(before: Scores, after: Scores) -> str:
     """Return by how much a fit reduces the residuals, a clause."""
-    return f"{difference_words(after)} {_rms_change(before, after)}"
+    return f"{residual_words(after)} {_rms_change(before, after)}"
 
 
-def difference_words(scores: Scores) -> str:
+def residual_words(scores: Scores) -> str:
     """Return what the first residual of a fit is called: that of averaged deviations of dials, or
     else of readings.
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from orthoglide.numerals import compact, decimals_for, probability, signed
-from orthoglide.report.fit_sentences import difference_words
+from orthoglide.report.fit_sentences import residual_words
 from orthoglide.result import CandidateScore, Result
 from orthoglide.text import sentence
 
@@ -76,7 +76,7 @@ def possible_rows(result: Result) -> list[tuple[str, str, str, str]]:
 
 def possible_cause_sentences(result: Result) -> list[str]:
     """Return the most probable causes if nothing was found, a sentence each."""
-    what = difference_words(result.before.scores)
+    what = residual_words(result.before.scores)
     return [
         f"{sentence(words)} Probability {chance}. It would reduce {what} from {fit} rms, and "
         f"that of readings predicted from other stations from {left_out}."
