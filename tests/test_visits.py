@@ -19,6 +19,7 @@ from orthoglide.effects.free_form import FreeForm, Session, free_forms
 from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.wording import cause_words, confirm_words, difference_words
 from orthoglide.explanation.causes import curve_of
+from orthoglide.explanation.change import Change
 from orthoglide.numerals import MINUS
 from orthoglide.result import Curve
 from tests import rig_campaigns as rc
@@ -162,3 +163,30 @@ def test_an_error_that_grew_or_shrank_is_the_one_change(first: Any, share: float
     if first[0] != AGAIN:
         assert not again.effects
         assert all(str(c.parameter).endswith(".size") for c in again.changed)
+
+
+@pytest.mark.thorough
+def test_an_alternative_that_the_machine_lacks_is_not_drawn(first: Any) -> None:
+    """The size of a located error stood beside a zero, and there was no answer."""
+    _, outcome, _ = first
+    curve, machine = outcome.located[0].members[0], outcome.request.machine
+    shape = curve.place.shape_effect(curve.coefficients)
+    catalogue = machine.catalogue.with_effects([shape])
+    zero = catalogue.parameter("joint_offset.x")
+    sizes = {zero: 1e-4, next(iter(shape.motions)): 1e-4}
+    change = Change(sizes, catalogue, "", ("old", "new"), 0.0, 1e-4, 1e-5, 1e-5)
+    (drawn,) = Check(("old",), ("new",), outcome, (change,)).with_changes.changed
+    assert drawn.members == (zero,)
+
+
+@pytest.mark.thorough
+def test_a_file_that_lacks_a_coefficient_is_compared(first: Any, tmp_path: Path) -> None:
+    """A line was deleted by hand, and the program failed."""
+    kind, outcome, out = first
+    effect = outcome.located[0].members[0].place.effect.name
+    lines = (out / "calibrated.toml").read_text("utf-8").splitlines()
+    own = [k for k, line in enumerate(lines) if line.startswith(f'"{effect}.')]
+    edited = [line for k, line in enumerate(lines) if k != own[-1]]
+    (tmp_path / "edited.toml").write_text("\n".join(edited), encoding="utf-8")
+    now = visit(kind, 1.0, 9250, "new")
+    assert studied([now], og.Machine.load(tmp_path / "edited.toml")).word

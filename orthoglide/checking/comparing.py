@@ -116,7 +116,10 @@ class Check(Framed):
         located errors are not among them, as the new readings alone show these errors.
         """
         catalogue = self.closed.request.machine.catalogue
-        changed = tuple(d for d in self.changes if d.parameter.effect in catalogue)
+        changed = tuple(
+            replace(d, sizes={p: size for p, size in d.sizes.items() if p.effect in catalogue})
+            for d in self.changes if d.parameter.effect in catalogue
+        )  # fmt: skip
         return build_result(replace(self.closed, changed=changed), Verdict)
 
     @cached_property

@@ -108,12 +108,8 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
-        posterior = first = posterior_with_corrected_commands(base)
-        if squares := _smaller_noise_squares(first):  # larger noise would hide a fault
-            smaller = fit_nested(with_smaller_noise(base.problem, squares))
-            either = first, posterior_with_corrected_commands(smaller)
-            posterior = best_of(either, lambda p: p.evidence, LOG_ODDS_MARGIN)
-            base = base if posterior is first else smaller
+        first = posterior_with_corrected_commands(base)
+        base, posterior = _with_likelier_noise(base, first)
         misreading = _find_misreading(base, posterior, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
             evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
@@ -224,6 +220,20 @@ def _fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
         yield Note(
             f"possible data fault ({certainty}, so the rows stay in the fit): {text}", "slip"
         )
+
+
+def _with_likelier_noise(
+    base: Estimate, posterior: FullPosterior
+) -> tuple[Estimate, FullPosterior]:
+    """Return the fit and its posterior, with smaller noise if its evidence is larger: larger noise
+    would hide a fault.
+    """
+    either = [(base, posterior)]
+    if squares := _smaller_noise_squares(posterior):
+        with suppress(NumericsError):  # readings far off drive a fit to where no loop closes
+            smaller = fit_nested(with_smaller_noise(base.problem, squares))
+            either.append((smaller, posterior_with_corrected_commands(smaller)))
+    return best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
 
 
 def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:

@@ -74,13 +74,14 @@ def _find_changes(estimate: Estimate, earlier: Posterior) -> tuple[Change, ...]:
     need not be an ideal bowl to be a cause; otherwise those beside unchanged plates.
     """
     calibrated, catalogue = estimate.problem, estimate.problem.machine.catalogue
+    varied = [name for name in calibrated.names if name in earlier.names]
     size_of = {
         part: member
         for effect in catalogue.values() if effect.shape
         for member, weights in catalogue.structured_members(effect.name).items()
+        if set(weights) <= {*varied}  # a coefficient may be missing from a file edited by hand
         for part in weights
     }  # fmt: skip
-    varied = (name for name in calibrated.names if name in earlier.names)
     names = [*dict.fromkeys(size_of.get(name, name) for name in varied)]
 
     def search(problem: Problem) -> tuple[Change, ...]:
