@@ -121,10 +121,9 @@ def test_a_tracker_in_any_frame_that_moved_is_fitted_as_another_setup() -> None:
 
 def test_a_tracker_in_another_frame_from_a_reading_on_is_refused() -> None:
     """With the expected noise the fit reached offsets of 100 mm, to be corrected on the machine."""
-    found = read("tcp", passes=2)
+    found = read("tcp")
     late = np.arange(len(found)) >= len(found) // 2
-    points = found.reading.reshape(-1, 3)
-    turned = points @ Rotation.from_rotvec([0.2, -1.0, 0.3]).as_matrix().T + 0.2
+    turned = found.reading.reshape(-1, 3) @ Rotation.from_rotvec([0, 0, 1.5]).as_matrix().T
     found = replace(found, reading=np.where(late, turned.ravel(), found.reading))
     with pytest.raises(og.InputError, match=r"scatter by .* mm, which is no noise"):
         studied([found], MACHINE)
