@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from benchmarks import attribution_cases as ac, independent, public
 from benchmarks.attribution_cases import Array, Case, Cause
 from benchmarks.independent import Sheet, Visible, is_cause, metric
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record
+from benchmarks.runs import Record, Table, arguments, records, show
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -148,6 +149,18 @@ def run(
     except Exception:  # a crash is a result too: it is counted and shown
         record |= {"word": "crash", "message": traceback.format_exc(limit=-4)}
     return record | {"seconds": round(time.perf_counter() - began, 2)}
+
+
+def show_table(
+    says: str,
+    cases: Callable[[int], Sequence[Case]],
+    draw: Callable[[Case, int, float], Drawn],
+    table: Callable[[Sequence[Record]], Table],
+) -> None:
+    """Run the cases that a command line asks for, and print their table."""
+    options = arguments(says, campaigns=60).parse_args()
+    one = partial(run, seed=options.seed, draw=draw)
+    show([table(records(cases(options.campaigns), one, options))])
 
 
 def _said(result: Record) -> Record:

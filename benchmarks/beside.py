@@ -10,16 +10,15 @@ Sizes, small errors of everything else and readings are those of `attribution.py
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from benchmarks import attribution_cases as ac, independent
 from benchmarks.attribution_asked import SEEN, fault_found, holds, is_shape_of, share, well, worse
 from benchmarks.attribution_cases import Case
-from benchmarks.attribution_run import Drawn, points_of, run, size_of
+from benchmarks.attribution_run import Drawn, points_of, show_table, size_of
 from benchmarks.independent import Sheet, Visible
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -118,11 +117,5 @@ def table(found: Sequence[Record]) -> Table:
     return Table("Errors outside the catalogue beside something else", note, rows)
 
 
-def main() -> None:
-    options = arguments(__doc__, campaigns=60).parse_args()
-    one = partial(run, seed=options.seed, draw=draw)
-    show([table(records(cases(options.campaigns), one, options))])
-
-
 if __name__ == "__main__":
-    main()
+    show_table(__doc__, cases, draw, table)

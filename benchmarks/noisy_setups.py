@@ -9,16 +9,15 @@ three to six tolerances besides. One dial has half to five times the noise that 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from benchmarks import attribution_cases as ac, independent
 from benchmarks.attribution_asked import SEEN, named, share, well
 from benchmarks.attribution_cases import Case
-from benchmarks.attribution_run import Drawn, points_of, run
+from benchmarks.attribution_run import Drawn, points_of, show_table
 from benchmarks.independent import Sheet, Visible
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -100,11 +99,5 @@ def table(found: Sequence[Record]) -> Table:
     return Table("One dial with other noise than declared", note, rows)
 
 
-def main() -> None:
-    options = arguments(__doc__, campaigns=60).parse_args()
-    one = partial(run, seed=options.seed, draw=draw)
-    show([table(records(cases(options.campaigns), one, options))])
-
-
 if __name__ == "__main__":
-    main()
+    show_table(__doc__, cases, draw, table)

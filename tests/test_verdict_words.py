@@ -8,7 +8,8 @@ import pytest
 
 import orthoglide as og
 from orthoglide.effects import CATALOGUE
-from orthoglide.effects.free_form import Dependence, FreeForm, Part, Session, free_forms
+from orthoglide.effects.free_form import FreeForm, Session, free_forms
+from orthoglide.effects.free_form_place import Dependence, Part
 from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.wording import cause_short

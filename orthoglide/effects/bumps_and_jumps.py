@@ -8,14 +8,8 @@ from dataclasses import replace
 from itertools import chain, product
 
 from orthoglide.effects.catalogue import Catalogue
-from orthoglide.effects.free_form import (
-    FreeForm,
-    Part,
-    Range,
-    Session,
-    free_forms,
-    scaled_to_machine,
-)
+from orthoglide.effects.free_form import FreeForm, Session, free_forms, scaled_to_machine
+from orthoglide.effects.free_form_place import Part, Range
 from orthoglide.effects.kernels import Bump, Step
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames

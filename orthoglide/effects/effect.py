@@ -148,7 +148,10 @@ class Effect:
         return phase / self.lobes % (360 / self.lobes)
 
     def amplitude(self, values: Mapping[str, float]) -> float:
-        """Return the size of a paired effect, SI, as `size_of`."""
+        """Return the size of a paired effect, SI: by `size_of`, or the root of the sum of squares.
+
+        ``values``: its parameters, SI, by their directions.
+        """
         return math.hypot(*values.values()) if self.size_of is None else self.size_of(values)
 
     @property

@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
+from orthoglide.effects.free_form_place import FreeFormPlace
 from orthoglide.effects.words import Words, toward
 from orthoglide.numerals import MINUS, compact
-
-if TYPE_CHECKING:
-    from orthoglide.effects.free_form import FreeForm
-    from orthoglide.parameters import Parameter
+from orthoglide.parameters import Parameter
 
 
-def effect_words(form: FreeForm) -> Words:
+def effect_words(form: FreeFormPlace) -> Words:
     """Return the texts of the effect of an error, whose value is its size."""
     return Words(
         one=partial(_sized_clause, form),
         short=partial(_clause_of_parameter, form),
-        many=form.words,
+        many=clause(form),
         size=partial(size_words, form),
         confirm=partial(_test_of_parameter, form),
-        noun=f"error that {form.words}",
+        noun=f"error that {clause(form)}",
     )
 
 
-def _sized_clause(form: FreeForm, _: Parameter, size: float) -> str:
-    return f"{form.words}, by {signed_size_words(form, size)}{size_place(form.part)}"
+def _sized_clause(form: FreeFormPlace, _: Parameter, size: float) -> str:
+    return f"{clause(form)}, by {signed_size_words(form, size)}{size_place(form.part)}"
 
 
-def _clause_of_parameter(form: FreeForm, _: Parameter) -> str:
-    return form.words
+def _clause_of_parameter(form: FreeFormPlace, _: Parameter) -> str:
+    return clause(form)
 
 
-def _test_of_parameter(form: FreeForm, _: Parameter, size: float) -> str:
+def _test_of_parameter(form: FreeFormPlace, _: Parameter, size: float) -> str:
     return confirming_test(form, size)
 
 
@@ -42,7 +39,7 @@ def size_place(part: str) -> str:
     return " half a stroke from mechanical zero" * (part == "screw")
 
 
-def clause(form: FreeForm) -> str:
+def clause(form: FreeFormPlace) -> str:
     """Return the location and the kind of an error, without its size; the positive direction is the
     one that is named, or that of growing travel.
     """
@@ -88,13 +85,13 @@ def clause(form: FreeForm) -> str:
     return form.names.in_layout_words(f"{fault} {dependence}")
 
 
-def _time_words(form: FreeForm) -> str:
+def _time_words(form: FreeFormPlace) -> str:
     if form.jump is not None:
         return f"suddenly {'at' if form.timed else 'after'} {form.spot}"
     return "in proportion to time" if form.is_line else "with time"
 
 
-def _travel_words(form: FreeForm) -> str:
+def _travel_words(form: FreeFormPlace) -> str:
     if form.bump is not None:
         reach = f"within {2e3 * form.wide:.0f} mm of" if form.wide else "at"
         return f"{reach} travel {compact(form.bump * 1e3, 3)} mm and nowhere else"
@@ -103,7 +100,7 @@ def _travel_words(form: FreeForm) -> str:
     return "in short waves along its travel" if form.short_waves else "depending on its travel"
 
 
-def look_at(form: FreeForm) -> str:
+def look_at(form: FreeFormPlace) -> str:
     """Return what to look at on the machine."""
     if form.of_dial:
         return "the dial against gauge blocks, and its stand"
@@ -121,7 +118,7 @@ def look_at(form: FreeForm) -> str:
     return form.names.in_layout_words(part)
 
 
-def size_words(form: FreeForm, size: float) -> str:
+def size_words(form: FreeFormPlace, size: float) -> str:
     """Return the absolute value of a size, SI, with its unit, and whether it is a root mean square
     about a mean that is part of the zeros.
     """
@@ -129,7 +126,7 @@ def size_words(form: FreeForm, size: float) -> str:
     return f"{compact(abs(size) * 1e3, 2)} {unit}{'' if form.has_level else ' rms'}"
 
 
-def signed_size_words(form: FreeForm, size: float) -> str:
+def signed_size_words(form: FreeFormPlace, size: float) -> str:
     """Return a size, SI, as `size_words`, with the sign of those that have one."""
     sign = ("+" if size >= 0 else MINUS) * form.is_signed
     return f"{sign}{size_words(form, size)}"
@@ -141,7 +138,7 @@ _DIAL_REVERSAL_TEST = (
 )
 
 
-def confirming_test(form: FreeForm, size: float) -> str:
+def confirming_test(form: FreeFormPlace, size: float) -> str:
     """Return the test that shows lost motion or a step of a size, SI, at a drive, a rail, the
     platform or a dial; empty for other errors.
     """

@@ -180,7 +180,7 @@ class Words:
         confirm: test that confirms one parameter of some value, SI, on the machine, with the
             reading to expect.
         common: clause for a value, SI, that all legs have in common, with sign, size and unit.
-        noun: noun phrase without blanks, in place of the names of the parameters.
+        noun: noun phrase without placeholders, in place of the names of the parameters.
     """
 
     one: Clause | None = None

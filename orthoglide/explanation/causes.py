@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from orthoglide.effects import free_form_words
-from orthoglide.effects.free_form import FreeForm, Range
+from orthoglide.effects.free_form import FreeForm
+from orthoglide.effects.free_form_place import Range
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array

@@ -236,9 +236,9 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
             if not setup.observation.on_leg:
                 parts = "instrument and its stand"
             return (
-                f"the readings of this setup are {compact(fault.size, 2)} times as noisy as is "
-                f"assumed, and count for so much less: look for what is loose on this {parts}, and "
-                f"read the setup again"
+                f"the readings of this setup are {compact(fault.size, 2)} times as noisy as "
+                f"assumed, and their weight is reduced accordingly: look for what is loose on this "
+                f"{parts}, and read the setup again"
             )
         case "turns":
             extremes = sorted({min(fault.sizes), max(fault.sizes)})

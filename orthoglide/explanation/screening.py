@@ -55,16 +55,16 @@ class Screening:
         if not self.families:
             return []
         counts = [len(family) for family in self.families]
-        family = np.repeat(np.arange(len(counts)), counts)
-        kinds = np.array([f.kind for f in self.families])[family]
+        family_of = np.repeat(np.arange(len(counts)), counts)
+        kinds = np.array([f.kind for f in self.families])[family_of]
         starts = np.cumsum([0, *counts])
         expected = np.array([f.expected_count for f in self.families])
-        least = np.log(len(SLAB_SCALES) / expected)[family] - _SCREENING_MARGIN
+        least = np.log(len(SLAB_SCALES) / expected)[family_of] - _SCREENING_MARGIN
         chosen = {int(starts[k]) for k, f in enumerate(self.families) if f.corrected}
         no_groups = np.zeros((self.linear.columns.shape[1], 0))
         for gains in self._gains(no_groups if slab_root is None else slab_root):
             chosen.update(_best_of_each_kind(kinds, gains, least))
-        return [self.families[family[k]][k - starts[family[k]]] for k in sorted(chosen)]
+        return [self.families[family_of[k]][k - starts[family_of[k]]] for k in sorted(chosen)]
 
     def _gains(self, active: Array) -> Iterator[Array]:
         """Yield the log Bayes factors of all faults ``(N,)`` for each background, with the slab

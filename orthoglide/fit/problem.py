@@ -231,7 +231,7 @@ class Problem:
     @cached_property
     def is_from_calibration(self) -> NDArray[np.bool_]:
         """Which unknowns come from an earlier calibration and have not changed since ``(P,)``;
-        their values are no news, however far beyond their tolerances. So are located sizes.
+        their values are no news, however far beyond their tolerances, nor are located sizes.
         """
         earlier = self.earlier_posterior
         known = () if earlier is None or self.machine.spec.is_measured else earlier.names
