@@ -121,14 +121,14 @@ def test_the_rules_look_at_something() -> None:
 
 
 def test_no_two_files_import_each_other() -> None:
-    """Nor in a circle, late imports inside functions included."""
+    """Nor in a circle, late imports inside functions and those for types included."""
     names = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
         for path in modules()
     }
     waiting = {}
     for module, path in names.items():
-        found = {n if n in names else n.rpartition(".")[0] for n in imports(path)}
+        found = {n if n in names else n.rpartition(".")[0] for n in imports(path, types=True)}
         waiting[module] = (found & set(names)) - {module}
     while free := {module for module, needs in waiting.items() if not needs}:
         waiting = {m: needs - free for m, needs in waiting.items() if m not in free}

@@ -7,11 +7,13 @@ from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
-from orthoglide.closing import RunOutcome, build_result
+from orthoglide.closing import RunOutcome, build_result, fill
+from orthoglide.closing.picture import picture
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short
@@ -58,13 +60,17 @@ def made_up(
     request = replace(base().request, command="close-loop")
     closed = replace(base(), request=request, word=word, effects=causes, changed=changed)
     kept: dict[str, Any] = {
-        "next_measurements": (), "numbers": base().numbers, "budget": budget,
-        "identified": base().identified, "compensation_gain": base().compensation_gain,
+        "numbers": base().numbers, "budget": budget, "identified": base().identified,
+        "compensation_gain": base().compensation_gain,
     }  # fmt: skip
-    kept |= {} if drawn else {"picture": replace(base().picture, options=())}
     closed.__dict__.update(kept)
     # The words of a cause follow from the catalogue of its own machine.
-    return replace(build_result(closed, Verdict), effects=causes)
+    with patch.object(fill, "next_measurements", return_value=()):
+        if drawn:
+            return replace(build_result(closed, Verdict), effects=causes)
+        undrawn = replace(picture(base()), options=())
+        with patch.object(fill, "picture", return_value=undrawn):
+            return replace(build_result(closed, Verdict), effects=causes)
 
 
 def item(name: str, **values: Any) -> BudgetItem:

@@ -3,3 +3,4 @@
 from orthoglide.closing.fill import build_result as build_result
 from orthoglide.closing.loop import compute_outcome as compute_outcome
 from orthoglide.closing.outcome import RunOutcome as RunOutcome
+from orthoglide.closing.suggesting import next_measurements as next_measurements

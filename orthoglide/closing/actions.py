@@ -1,29 +1,27 @@
-"""What to do about a machine, and what to measure next."""
+"""What to do about a machine."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from orthoglide.accuracy import best_zeros, expected_gain, lack_of_gain
+from orthoglide.closing.outcome import RunOutcome
 from orthoglide.control import withholding_reason
 from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import plain, signed
+from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
+from orthoglide.planning import Suggestion
 from orthoglide.result import Action, Cause, Located, Suspect, Withheld
-from orthoglide.text import MACHINE_OPTION, lower_first
-
-if TYPE_CHECKING:
-    from orthoglide.closing.outcome import RunOutcome
-    from orthoglide.planning import Suggestion
+from orthoglide.text import lower_first
 
 _FILES_OUTDATED = (
     "numbers and commands from files older than {} are no longer valid: use those of this result"
@@ -37,20 +35,26 @@ _TEST_LIKELY = "Test what is likely, but not certain"
 _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
-_MOST_RIVALS = 6  # causes between which readings are proposed
 _GAIN_ROUNDING = 1e-9  # metres: smaller differences of gain are rounding
 _MIN_TOWER_SHIFT = 1e-4  # metres by which a tower's turn moves it: the thickness of a layer
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
 
 
-def actions(outcome: RunOutcome) -> tuple[Action, ...]:
+def actions(
+    outcome: RunOutcome, suggestions: Sequence[Suggestion], sheet: Readings | None
+) -> tuple[Action, ...]:
     """Return what to do, largest expected gain first.
+
+    Args:
+        outcome: of the search.
+        suggestions: readings to take next.
+        sheet: the suggested readings as one sheet; ``None`` if there are none.
 
     The gain of compensated commands is their gain over the best zeros. Measurements come first if
     the verdict depends on them. Nothing is to be entered or repaired if the verdict warns against
     it or if the firmware's own calibration comes first; measurements then come last.
     """
-    measure_first, measurements = _measurement_actions(outcome)
+    measure_first, measurements = _measurement_actions(outcome, suggestions, sheet)
     if outcome.firmware is not None and outcome.firmware.again:
         return (Action("measure", outcome.firmware.again[:-1]), *measurements)
     if withholding_reason(outcome.machine):
@@ -260,71 +264,20 @@ def not_advised(outcome: RunOutcome) -> tuple[Withheld, ...]:
     return (compensation,) if isinstance(compensation, Withheld) else ()
 
 
-def _measurement_actions(outcome: RunOutcome) -> tuple[bool, list[Action]]:
+def _measurement_actions(
+    outcome: RunOutcome, suggestions: Sequence[Suggestion], sheet: Readings | None
+) -> tuple[bool, list[Action]]:
     """Return whether the verdict depends on further readings, and the most decisive readings."""
     if not outcome.request.searches:
         text = "Look for the cause of the residual: orthoglide close-loop takes the same files"
         return False, [Action("measure", text)] if outcome.after.sigma_scale > 1 else []
-    sheet = outcome.next_sheet
-    for suggestion in outcome.next_measurements:
+    for suggestion in suggestions:
         if suggestion.aim == "narrow" and sheet is not None:
             text = f"More readings are optional: the report proposes {len(sheet)}"
-            if outcome.word == "ambiguous" and any(s.hopeless for s in outcome.next_measurements):
+            if outcome.word == "ambiguous" and any(s.hopeless for s in suggestions):
                 text = "No more readings of this kind decide between the causes: do their tests"
             return False, [Action("measure", text)]
         if not suggestion.hopeless:
             text = f"Measure more: {suggestion.what or suggestion.reason}"
             return True, [Action("measure", text)]
     return False, []
-
-
-def next_measurements(outcome: RunOutcome) -> tuple[Suggestion, ...]:
-    """Return the readings to take next, most useful first."""
-    option = outcome.request.machine_option
-    return tuple(
-        replace(s, **{n: getattr(s, n).replace(MACHINE_OPTION, option) for n in ("reason", "what")})
-        for s in _suggestions(outcome)
-    )
-
-
-def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
-    """Return the suggestions, with the placeholder ``MACHINE_OPTION`` for the machine's file.
-
-    Readings that distinguish a data fault from a less probable cause come first.
-    """
-    from orthoglide import planning
-
-    geometry, posterior = outcome.request.machine.geometry, outcome.posterior
-    inconclusive, lack_of_fit = not outcome.stands, outcome.lack_of_fit
-    repeats = [*map(planning.suggest_repeating, lack_of_fit.by_instrument[:inconclusive])]
-    first: list[Suggestion] = []
-    later: list[Suggestion] = []
-    by_place: list[Suggestion] = []
-    separating: Iterable[Suggestion] = ()
-    if posterior is not None:
-        credible_sets = [(c.chosen.probability, c.data) for c in outcome.effects]
-        credible_sets += [(c.members[0].probability, c.data) for c in outcome.located]
-        for probability, faults in credible_sets:
-            if faults:
-                visits = first if faults[0].probability > probability else later
-                visits.append(planning.suggest_deciding_visits(posterior, faults[0]))
-        for located in outcome.located:
-            by_place += planning.suggest_separating_located_errors(posterior, located)
-        if not geometry.dialled:
-            separating = planning.suggest_instruments_for_causes(posterior, outcome.effects)
-    if not geometry.dialled:
-        return (*first, *separating, *by_place, *repeats, *later)
-    rival_sets = [(c.chosen, *c.rivals) for c in outcome.effects if c.rivals]
-    rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
-    motions = outcome.after.problem.machine.catalogue.motions
-    for rival_set in rival_sets or [outcome.alone[:_MOST_RIVALS]]:  # pairs only within a set
-        pairs += combinations(range(len(rivals), len(rivals) + len(rival_set)), 2)
-        # Free-form errors, which the catalogue lacks, are nearly the same with every rival.
-        rivals += [
-            (e.name, {n: v for n, v in e.machine.items() if n in motions}) for e in rival_set
-        ]
-    separating = planning.next_measurements(outcome.after, rivals, pairs=pairs, directions=())
-    narrowing = planning.next_measurements(outcome.before)
-    if inconclusive and lack_of_fit.dials_hold_most:
-        repeats = [planning.suggest_tracing(lack_of_fit.by_dial[0], geometry)]
-    return (*first, *repeats, *later, *separating, *by_place, *narrowing)

@@ -10,6 +10,8 @@ from typing import Any, Literal, TypeVar
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
 from orthoglide.closing.actions import actions, not_advised
 from orthoglide.closing.outcome import RunOutcome
+from orthoglide.closing.picture import picture
+from orthoglide.closing.suggesting import next_measurements
 from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
 from orthoglide.explanation import FullPosterior
@@ -25,7 +27,7 @@ from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
-from orthoglide.planning import Suggestion
+from orthoglide.planning import Suggestion, next_sheet
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
     Fit,
@@ -64,7 +66,8 @@ def build_result(outcome: RunOutcome, cls: type[R], progress: Progress = no_prog
 def _result_values(outcome: RunOutcome) -> Result:
     base, after = outcome.before, outcome.after
     kinds = {s.kind for f in after.problem.factors for s in f.readings.setups}
-    sheet, posterior = outcome.next_sheet, outcome.posterior
+    suggestions, posterior = next_measurements(outcome), outcome.posterior
+    sheet = next_sheet(suggestions)
     unseen, invisible = _unseen(outcome)
     return _value_of(
         Result,
@@ -78,10 +81,11 @@ def _result_values(outcome: RunOutcome) -> Result:
         weak=after.weak,
         check=base.check and _above_rounding(base.check),
         verification=after.verification,
-        next_measurements=tuple(map(_proposal, outcome.next_measurements)),
+        next_measurements=tuple(map(_proposal, suggestions)),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
         left=outcome.lack_of_fit,
-        actions=actions(outcome),
+        actions=actions(outcome, suggestions, sheet),
+        picture=picture(outcome),
         workspace=None if posterior is None else _workspace(base, posterior, outcome.machine),
         invisible=invisible,
         unseen=unseen,
@@ -89,7 +93,13 @@ def _result_values(outcome: RunOutcome) -> Result:
         warnings=_warnings(outcome),
         calibrated_before=base.problem.has_earlier_calibration,
         shapes_of_plate=posterior is not None and bool(posterior.mixture.linear.plate_shapes.any()),
-        readings=fitted_readings(after, base, outcome.request.given),
+        readings=fitted_readings(
+            after.problem,
+            base.predicted_before,
+            base.predicted,
+            after.predicted,
+            outcome.request.given,
+        ),
         withheld=not_advised(outcome),
         possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),

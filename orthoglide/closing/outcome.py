@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
-from orthoglide.closing.actions import next_measurements
-from orthoglide.closing.picture import picture
 from orthoglide.control import ControllerNumbers, controller_numbers
 from orthoglide.explanation import CredibleSets, FullPosterior, budget
 from orthoglide.explanation.change import Change
@@ -17,7 +15,6 @@ from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
 from orthoglide.numerals import distinct_figures
-from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
@@ -26,15 +23,11 @@ from orthoglide.result import (
     Identified,
     Judged,
     LackOfFit,
-    Picture,
     Request,
     TcpErrors,
     Word,
 )
 from orthoglide.text import sentence
-
-if TYPE_CHECKING:
-    from orthoglide.planning import Suggestion
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -145,24 +138,7 @@ class RunOutcome(Judged, CredibleSets):
         mountings = tuple(sorted(residual_by_setup(self.after), key=lambda setup: setup.leg < 0))
         return replace(self.residual_test, mountings=mountings)
 
-    @cached_property
-    def picture(self) -> Picture:
-        """Drawing of the machine with the causes marked."""
-        return picture(self)
-
     # --- What follows -----------------------------------------------------------------------
-
-    @cached_property
-    def next_measurements(self) -> tuple[Suggestion, ...]:
-        """Readings to take next; empty after ``identify``."""
-        return next_measurements(self) if self.request.searches else ()
-
-    @cached_property
-    def next_sheet(self) -> Readings | None:
-        """The proposed readings as one sheet to fill in; ``None`` if there are none."""
-        from orthoglide.planning import next_sheet
-
-        return next_sheet(self.next_measurements)
 
     @cached_property
     def numbers(self) -> ControllerNumbers:

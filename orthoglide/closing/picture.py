@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import accumulate, chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orthoglide.closing.outcome import RunOutcome
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.words import toward
 from orthoglide.explanation.change import Change
@@ -18,9 +18,6 @@ from orthoglide.numerals import compact
 from orthoglide.pictures import dials, joint_mark, option
 from orthoglide.result import Curve, Picture
 from orthoglide.scene import Mark, Option
-
-if TYPE_CHECKING:
-    from orthoglide.closing.outcome import RunOutcome
 
 
 def picture(outcome: RunOutcome) -> Picture:

@@ -18,6 +18,7 @@ from orthoglide.fit.least_squares import (
     nuisances,
 )
 from orthoglide.fit.problem import Problem
+from orthoglide.fit.reading_tables import fitted_readings
 from orthoglide.fit.scores import FittedRows, Scores, score
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -222,9 +223,9 @@ class Estimate(Framed):
             InputError: for an unknown figure.
         """
         from orthoglide.figures.draw import draw_fit
-        from orthoglide.fit.reading_tables import fitted_readings
 
-        return draw_fit(fitted_readings(self, self), self.problem.single_reading_sd, what)
+        table = fitted_readings(self.problem, self.predicted_before, self.predicted, self.predicted)
+        return draw_fit(table, self.problem.single_reading_sd, what)
 
 
 def _residual_text(rms: ByUnit) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import defaultdict, deque
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,23 +13,22 @@ from orthoglide.observations import Readings
 from orthoglide.result import Mounting, ReadingsShown
 from orthoglide.result.display import Numbers
 
-if TYPE_CHECKING:
-    from orthoglide.fit.estimate import Estimate
-
 _MIN_TRAVEL = 1e-3  # metres: setups with less travel are drawn in the order of the file
 
 
 def fitted_readings(
-    fit: Estimate, base: Estimate, requested: tuple[Readings, ...] = ()
-) -> ReadingsShown:
+    problem: Problem, nominal: Array, before: Array, after: Array,
+    requested: tuple[Readings, ...] = (),
+) -> ReadingsShown:  # fmt: skip
     """Return measured and predicted readings, setup by setup.
 
     Args:
-        fit: the last fit.
-        base: fit of the base model to the same readings.
-        requested: readings of the request, of which ``fit`` uses a part; if empty, it uses all.
+        problem: that was solved, with ``n`` readings.
+        nominal: readings predicted by the uncalibrated machine ``(n,)``, metres or radians.
+        before: by the base model.
+        after: by the last fit.
+        requested: readings of the request, of which the problem uses a part; if empty, all.
     """
-    problem = fit.problem
     tables = [factor.readings for factor in problem.factors]
     rows = [row_indices(*pair) for pair in zip(tables, requested or tables, strict=True)]
     return ReadingsShown(
@@ -39,9 +37,9 @@ def fitted_readings(
         row=np.concatenate(rows),
         measured=problem.measured,
         sigma=problem.sigma,
-        nominal=base.predicted_before,
-        before=base.predicted,
-        after=fit.predicted,
+        nominal=nominal,
+        before=before,
+        after=after,
     )
 
 

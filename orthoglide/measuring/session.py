@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from orthoglide.closing import RunOutcome, build_result, compute_outcome
+from orthoglide.closing import RunOutcome, build_result, compute_outcome, next_measurements
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine import Machine
 from orthoglide.measuring.record import RETURN_POSTURE, SKIPPED_POSTURE, Record
@@ -134,7 +134,7 @@ def next_step(
     """
     taken = sum(map(len, outcome.request.campaigns))
     suggested = [
-        s for s in outcome.next_measurements
+        s for s in next_measurements(outcome)
         if s.aim == "trace" or (s.aim == "separate" and s.gain >= DECISIVE_SIGMAS)
     ]  # fmt: skip
     sheet = next_sheet(suggested)

@@ -9,25 +9,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects import Catalogue, Effect
 from orthoglide.geometry import Array
-from orthoglide.instruments import POSE_SIZE, InstrumentPose, Mounted, Observation, ReadingVariables
+from orthoglide.instruments import POSE_SIZE, InstrumentPose, Mounted
 from orthoglide.mechanism.engine import Outputs
-from orthoglide.mechanism.rows import RowFunction, blocks
+from orthoglide.mechanism.rows import blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction.conditions import Conditions
-
-if TYPE_CHECKING:
-    from orthoglide.prediction.model import Model
+from orthoglide.prediction.formulas import Formula
+from orthoglide.prediction.moved_mechanism import MovedMechanism
 
 _ROWS = 4096
 """Rows of a block, which bounds the memory for derivatives of their postures."""
@@ -58,59 +54,6 @@ class LinearRows:
     value: Array  # (n,), metres or radians
     jacobian: Array  # by the parameters asked for (n, P), SI
     reading_poses: ReadingPoses
-
-
-class Formula:
-    """The formula of a kind of reading, as CasADi functions of rows.
-
-    Args:
-        observation: the kind of reading.
-        effects: effects of its instrument, with ``D`` parameters for a setup.
-        numbers: count ``M`` of the numbers that describe a mounting.
-
-    Attributes:
-        function: (pose ``(12,)``, other pose ``(12,)``, mounting ``(M,)``, nuisances ``(K,)``,
-            effects ``(max(D, 1),)``) -> reading.
-        value: :attr:`function` for rows.
-        tangent: readings and their derivatives by pose, other pose, nuisances and effects.
-    """
-
-    def __init__(self, observation: Observation, effects: Sequence[Effect], numbers: int) -> None:
-        count = sum(len(e.parameters(("",))) for e in effects)
-        sizes = (POSE_SIZE, POSE_SIZE, numbers, observation.nuisance_count, max(count, 1))
-        symbols = [ca.SX.sym(name, n) for name, n in zip("pomzv", sizes, strict=True)]
-        pose, other, mounting, nuisance, values = (ca.vertsplit(s) for s in symbols)
-        row = ReadingVariables(pose, other, mounting, nuisance, values[:count])
-        reading = ca.SX(observation.formula(row, effects))
-        self.function = ca.Function(observation.kind, symbols, [reading])
-        by = [ca.densify(ca.gradient(reading, symbols[k])) for k in (0, 1, 3, 4)]
-        self.value = RowFunction(self.function)
-        self.tangent = RowFunction(
-            ca.Function(f"{observation.kind}_tangent", symbols, [reading, *by])
-        )
-
-
-@dataclass
-class Formulas:
-    """Formulas of all kinds for one catalogue, built when they are needed."""
-
-    catalogue: Catalogue
-    _formulas: dict[tuple[str, int], Formula] = field(default_factory=dict)
-
-    def effects(self, observation: Observation) -> tuple[Effect, ...]:
-        """Return the effects of a kind's instrument, in the order of its formula."""
-        return tuple(e for e in self.catalogue.instrument_effects if observation.is_affected_by(e))
-
-    def parameter_names(self, observation: Observation, setup: str) -> tuple[str, ...]:
-        """Return the names of the ``D`` parameters of a setup's instrument."""
-        return tuple(str(n) for e in self.effects(observation) for n in e.parameters((setup,)))
-
-    def formula(self, observation: Observation, numbers: int) -> Formula:
-        """Return the formula of a kind for mountings that ``numbers`` numbers describe."""
-        key = observation.kind, numbers
-        if key not in self._formulas:
-            self._formulas[key] = Formula(observation, self.effects(observation), numbers)
-        return self._formulas[key]
 
 
 @dataclass(frozen=True)
@@ -167,7 +110,7 @@ class MeasurementModel:
         second[:, :3], second[:, 3:6] = self.readings.second[self.paired], 0.0
         return Conditions(np.concatenate([first, second]))
 
-    def by_kind(self, model: Model, values: Mapping[str, float]) -> Iterator[KindReadings]:
+    def by_kind(self, model: MovedMechanism, values: Mapping[str, float]) -> Iterator[KindReadings]:
         """Yield the readings of each kind, ready for their formulas."""
         r, formulas = self.readings, model.formulas
         for observation, rows in r.observations:
@@ -191,7 +134,7 @@ class MeasurementModel:
                 nuisance = self.nuisance_values[setup, : observation.nuisance_count]
             yield KindReadings(formula, rows, mounting, table[setup], nuisance, names)
 
-    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
+    def predict(self, model: MovedMechanism, values: Mapping[str, float]) -> Array:
         """Return the predicted readings ``(n,)``, with :attr:`nuisance_values`."""
         conditions, postures = self.postures(model, values)
         predicted, outputs = np.empty(len(self.readings)), model.outputs(values, conditions).values
@@ -204,7 +147,7 @@ class MeasurementModel:
         return predicted
 
     def linearise(
-        self, model: Model, values: Mapping[str, float], names: Sequence[str]
+        self, model: MovedMechanism, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Return the readings with their derivative by parameters of machine and instruments.
 
@@ -232,7 +175,7 @@ class MeasurementModel:
                         jacobian[rows, column[name]] = found.by_effect[rows, k]
         return LinearRows(found.value, jacobian, found.poses)
 
-    def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
+    def joint_response(self, model: MovedMechanism, values: Mapping[str, float]) -> JointResponse:
         """Return the response of the readings to virtual joints that move with the conditions."""
 
         def differentiate(conditions: Conditions) -> tuple[Outputs, Array]:
@@ -249,7 +192,9 @@ class MeasurementModel:
 
         return follow
 
-    def postures(self, model: Model, names: Iterable[str]) -> tuple[Conditions, NDArray[np.intp]]:
+    def postures(
+        self, model: MovedMechanism, names: Iterable[str]
+    ) -> tuple[Conditions, NDArray[np.intp]]:
         """Return the distinct conditions for the effects of the parameters ``names``, and for each
         reading the index among them of its command and of its second one ``(2, n)``; of the command
         again where there is no second.
@@ -265,7 +210,7 @@ class MeasurementModel:
 
     def _derivatives(
         self,
-        model: Model,
+        model: MovedMechanism,
         values: Mapping[str, float],
         merged: tuple[Conditions, NDArray[np.intp]],
         count: int,

@@ -1,0 +1,213 @@
+"""Conditions and parameters -> poses, with sensitivities to all parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from orthoglide.effects import CATALOGUE, Catalogue, LegConditions
+from orthoglide.errors import ClosureError
+from orthoglide.geometry import Array, Geometry
+from orthoglide.machine_file.model import Stiffness
+from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.engine import Engine, Outputs, PinocchioEngine, SixBars
+from orthoglide.mechanism.rows import blocks
+from orthoglide.mechanism.six_bars import OUTPUT_SIZE, VIRTUAL_PER_LEG
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from orthoglide.prediction.conditions import Conditions
+from orthoglide.prediction.displacement import (
+    COMMAND,
+    CONDITION_COUNT,
+    FORCE,
+    Displacements,
+    Values,
+)
+from orthoglide.prediction.formulas import Formulas
+from orthoglide.prediction.load import (
+    BARS,
+    STRETCHES,
+    drive_forces,
+    drive_forces_by_command,
+    joint_forces,
+    tensions_tangent,
+)
+
+# Each round multiplies the error by the relative stretch of a bar, as a rule a hundred-thousandth:
+# three rounds are enough, except for bars of rubber.
+_MAX_ELASTIC_ROUNDS = 200
+_ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: the error left is far smaller
+
+
+@dataclass(frozen=True, eq=False)
+class MovedMechanism:
+    """The general mechanism moved by the catalogue's effects."""
+
+    geometry: Geometry  # nominal dimensions
+    pitch: float | None = None  # of the drives' screws, metres; `None` where unknown
+    stiffness: Stiffness = field(default_factory=Stiffness)  # of the bars, where known
+    catalogue: Catalogue = CATALOGUE  # the effects that move it
+    urdf: str = ""  # folder of the machine's URDF; the one of `geometry` where absent
+    compile: bool | None = None  # see :class:`~orthoglide.mechanism.engine.SixBars`
+    pinocchio_only: bool = False  # whether Pinocchio closes every posture
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the arguments alone: CasADi functions cannot be pickled and are built again."""
+        return {argument.name: getattr(self, argument.name) for argument in fields(self)}
+
+    def by_pinocchio(self) -> Self:
+        """Return a model that closes every posture with Pinocchio."""
+        return replace(self, pinocchio_only=True)
+
+    def with_catalogue(self, catalogue: Catalogue) -> Self:
+        """Return a model moved by other effects, which shares the engine."""
+        model = replace(self, catalogue=catalogue)
+        built = vars(self).keys() & {"mechanism", "engine"}
+        vars(model).update({name: vars(self)[name] for name in built})
+        return model
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """The Pinocchio model with its constraints, without errors."""
+        return Mechanism(self.geometry, urdf=self.urdf)
+
+    @cached_property
+    def engine(self) -> Engine:
+        """The engine that closes postures."""
+        if self.pinocchio_only:
+            return PinocchioEngine(self.mechanism)
+        return SixBars(self.mechanism, compile=self.compile)
+
+    @property
+    def _compliance(self) -> float:
+        """Compliance of a bar, m/N."""
+        return 0.0 if self.stiffness.bar is None else 1 / self.stiffness.bar
+
+    def is_elastic(self, conditions: Conditions) -> bool:
+        """Return whether the load deforms the bars in these postures."""
+        return self.stiffness.bar is not None and bool(conditions.load.any())
+
+    def _travel(self, conditions: Conditions) -> Array:
+        return conditions.command - self.geometry.zero
+
+    def loaded_displacements(self, values: Values, conditions: Conditions) -> Array:
+        """Return the displacements of the virtual joints ``(n, 30)``, elastic bars included."""
+        displacements = self.displacements(values, conditions)
+        if not self.is_elastic(conditions):
+            return displacements
+        travel, loaded = self._travel(conditions), displacements.copy()
+        for _ in range(_MAX_ELASTIC_ROUNDS):
+            tangent = self.engine.tangent(travel, loaded)[1]
+            tension = joint_forces(tangent, conditions.load)[:, BARS]
+            stretched = displacements[:, STRETCHES] + tension * self._compliance
+            change = np.abs(stretched - loaded[:, STRETCHES]).max(axis=1)
+            loaded[:, STRETCHES] = stretched
+            if change.max() <= _ELASTIC_TOLERANCE * max(1.0, self.geometry.scale):
+                return loaded
+        worst, count = int(np.argmax(change)), len(displacements)
+        which = f"posture {worst + 1} of {count}: " if count > 1 else ""
+        raise ClosureError(f"{which}the bars find no equilibrium under the load", index=(worst,))
+
+    def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Return the pull in the bars ``(n, leg, bar)`` under the load, newtons."""
+        displacements = self.loaded_displacements(values, conditions)
+        _, tangent = self.engine.tangent(self._travel(conditions), displacements)
+        return joint_forces(tangent, conditions.load)[:, BARS].reshape(-1, 3, 2)
+
+    def tangent(self, values: Mapping[str, float], conditions: Conditions) -> tuple[Outputs, Array]:
+        """Return outputs, and their derivative ``(n, 48, 33)`` by travel and displacements."""
+        displacements = self.loaded_displacements(values, conditions)
+        outputs, tangent = self.engine.tangent(self._travel(conditions), displacements)
+        if self.is_elastic(conditions):
+            tension = joint_forces(tangent, conditions.load)[:, BARS]
+            stretched = tensions_tangent(outputs, tangent, tension) * self._compliance
+            # Stretches change the tensions too.
+            coupled = np.linalg.solve(np.eye(6) - stretched[:, :, BARS], stretched)
+            tangent = tangent + tangent[:, :, BARS] @ coupled
+        return outputs, tangent
+
+    @cached_property
+    def displacement_model(self) -> Displacements:
+        """Map from parameters and conditions to displacements of the virtual joints."""
+        return Displacements(self.catalogue, self.geometry, self.pitch, self.compile)
+
+    @cached_property
+    def formulas(self) -> Formulas:
+        """Formulas of all kinds of readings."""
+        return Formulas(self.catalogue)
+
+    def condition_vectors(self, conditions: Conditions) -> Array:
+        """Return conditions as the displacement function takes them ``(n, 11)``."""
+        vectors = np.zeros((len(conditions), CONDITION_COUNT))
+        vectors[:, : FORCE.start] = conditions.table[:, : FORCE.start]
+        if conditions.load.any():
+            vectors[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
+        return vectors
+
+    def displacements(self, values: Values, conditions: Conditions) -> Array:
+        """Return the displacements of the virtual joints ``(n, 30)``, metres and radians."""
+        theta = self.displacement_model.parameter_vector(values)
+        if not len(conditions) or not theta.any():
+            return np.zeros((len(conditions), 3 * VIRTUAL_PER_LEG))
+        return self.displacement_model.evaluate(theta, self.condition_vectors(conditions))
+
+    def jacobian(self, values: Mapping[str, float], conditions: Conditions) -> Array:
+        """Return dp/drho ``(n, 3, 3)``, with errors of rails and drives that change with rho."""
+        _, tangent = self.tangent(values, conditions)
+        by_conditions = self.displacement_model.condition_jacobian(
+            self.displacement_model.parameter_vector(values), self.condition_vectors(conditions)
+        )
+        by_command = by_conditions[:, :, COMMAND]
+        if conditions.load.any():
+            forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
+            by_command = by_command + by_conditions[:, :, FORCE] @ forces
+        return np.asarray(tangent[:, :3, :3] + tangent[:, :3, 3:] @ by_command)
+
+    def outputs(self, values: Values, conditions: Conditions) -> Outputs:
+        """Return poses and bars of closed postures.
+
+        Raises:
+            ClosureError: naming the first posture that does not close.
+        """
+        displacements = self.loaded_displacements(values, conditions)
+        return self.engine.outputs(self._travel(conditions), displacements)
+
+    def sensitivities(
+        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
+    ) -> tuple[Outputs, Array]:
+        """Return poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed;
+        zero by parameters of dials.
+        """
+        model, theta = self.displacement_model, self.displacement_model.parameter_vector(values)
+        columns = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
+        machine_parameters = [model.parameter_index[names[k]] for k in columns]
+        outputs = np.empty((len(conditions), OUTPUT_SIZE))
+        by_name = np.zeros((*outputs.shape, len(names)))
+        for rows in blocks(len(conditions)):  # small enough for the cache
+            postures = conditions.subset(rows)
+            closed, tangent = self.tangent(values, postures)
+            by_theta = model.parameter_jacobian(theta, self.condition_vectors(postures))
+            outputs[rows] = closed.values
+            by_name[rows][:, :, columns] = tangent[:, :, 3:] @ by_theta[:, :, machine_parameters]
+        return Outputs(outputs), by_name
+
+    def needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
+        """Return the conditions besides the command that matter to parameters ``names``."""
+        effects = [self.catalogue.effect_of(name) for name in names]
+        # Forces cost a further closure: a load counts only where something gives way to it.
+        load = frozenset[str]() if self.stiffness.bar is None else frozenset({"load"})
+        return load.union(*(effect.needs for effect in effects if not effect.of_dial))
+
+    def leg_conditions(
+        self, values: Mapping[str, float], conditions: Conditions
+    ) -> tuple[LegConditions, ...]:
+        """Return the conditions of each leg's effects in ``n`` postures, as arrays."""
+        vectors, model = self.condition_vectors(conditions).T, self.displacement_model
+        drives = self.displacements(values, conditions)[:, :: len(VIRTUAL_NAMES)].T
+        return tuple(
+            model.leg_conditions(model.dimensions, vectors, leg, drive_error)
+            for leg, drive_error in enumerate(drives)
+        )
