@@ -52,14 +52,15 @@ SHARES = {"nothing": 200, "effect": 240, "structured": 24, "pair": 60, "outside"
           "three": 60}  # fmt: skip
 """Campaigns of each kind in a full table."""
 
-SHORT = ("bump", "short_wave")
-"""Kinds of errors that are shorter than the distance of the stations: tables of their own."""
+SHORT = ("bump", "short_wave", "rail_wave")
+"""Kinds of errors that are short beside the distances of the stations: a table of their own."""
 
 SHORT_SIZES = (0.05, 0.1, 0.2)  # millimetres
 SHORT_SHEETS = ("sweep", "two-gauges")
 BUMP_WIDTH = (0.006, 0.010)  # metres, standard deviation of the bell
 BUMP_MISSES = 0.004  # metres by which its top lies off a station at most
-WAVE_PERIOD = (0.006, 0.014)  # metres
+WAVE_PERIOD = (0.006, 0.014)  # metres, of a drive: a turn of its screw
+RAIL_PERIOD = (0.010, 0.045)  # metres: rollers, or a profile that was pressed
 
 FIRST_SIZE = 1e-4
 """Metres: size at which something outside the catalogue is tried first."""
@@ -70,7 +71,7 @@ class Case:
     """One campaign to simulate.
 
     Attributes:
-        kind: nothing, effect, structured, pair, three, outside, fault, bump or short_wave.
+        kind: nothing, effect, structured, pair, three, outside, fault, or one of `SHORT`.
         what: family, or kind of fault; families joined by + where there are several.
         protocol: of the readings.
         rms: wanted size, in sigmas of averaged readings; of short errors in millimetres.
@@ -126,7 +127,8 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
     if kind == "outside":
         return [(f, p, rms) for f in OUTSIDE for p in SWEEPS for rms in (6.0, 12.0)]
     if kind in SHORT:
-        where = ("rail.b", "rail.c", "drive") if kind == "bump" else ("drive",)
+        rails = ("rail.b", "rail.c")
+        where = {"bump": (*rails, "drive"), "short_wave": ("drive",), "rail_wave": rails}[kind]
         sheets = SHORT_SHEETS if kind == "bump" else SWEEPS
         return [(w, p, mm) for w in where for p in sheets for mm in SHORT_SIZES]
     if kind == "fault":
@@ -307,15 +309,19 @@ def short_error(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tup
         wave = _of_rig("extra", lambda v: rc.drive_wave(leg, v, period, phase))
         return Cause(case.kind, case.kind, {}, wave, _by_travel(f"{drive}/travel")), size
     along = case.what == "drive"
+    axis = leg if along else (leg + 1 + (case.what == "rail.c")) % 3
+    places = _by_travel((drive if along else f"rail.{own}.{LEGS[axis]}") + "/travel")
+    if case.kind == "rail_wave":
+        period = float(rng.uniform(*RAIL_PERIOD))
+        wave = _of_rig("extra", lambda v: rc.wavy_rail(leg, axis, v, period))
+        return Cause(case.kind, case.kind, {}, wave, places), size
     # A drive shows in the readings on the other legs, a rail in those on its own.
     own_rows = [row for row in rows if (row["leg"] == own) != along]
     travel = sorted({row[rc.RHO[leg]] * 1e-3 - Rig().L for row in own_rows})
     at = float(rng.choice(travel)) + float(rng.uniform(-BUMP_MISSES, BUMP_MISSES))
     width = float(rng.uniform(*BUMP_WIDTH))
-    axis = leg if along else (leg + 1 + (case.what == "rail.c")) % 3
-    where = drive if along else f"rail.{own}.{LEGS[axis]}"
     bump = _of_rig("extra", lambda v: rc.bump(leg, axis, v, at, width))
-    return Cause(case.kind, case.kind, {}, bump, _by_travel(f"{where}/travel")), size
+    return Cause(case.kind, case.kind, {}, bump, places), size
 
 
 def spoil(kind: str, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:

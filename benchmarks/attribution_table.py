@@ -198,6 +198,7 @@ def short(records: Sequence[Record]) -> Table:
         ("bump", "rail", "bump of a rail"),
         ("bump", "drive", "bump of a drive"),
         ("short_wave", "drive", "short wave of a drive"),
+        ("rail_wave", "rail", "wave of a rail"),
     )
     groups = [
         (f"{title}, {size:g} mm", partial(_is_short, kind=kind, what=what, size=size))
@@ -224,7 +225,8 @@ def short(records: Sequence[Record]) -> Table:
                      str(after or ""), str(sum(map(worse, chosen)) or "")))  # fmt: skip
     note = (
         "A bump of 6 to 10 mm standard deviation within 4 mm of a station; waves with periods of 6 "
-        "to 14 mm. *Seen*: known, the cause lowers chi2 by 25 or more. TCP errors in mm, mean."
+        "to 14 mm of a drive, of 10 to 45 mm of a rail. *Seen*: known, the cause lowers chi2 by 25 "
+        "or more. TCP errors in mm, mean."
     )
     return Table("Shorter than the distance of the stations", note, rows)
 

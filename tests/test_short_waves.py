@@ -12,10 +12,14 @@ import pytest
 
 import orthoglide as og
 from benchmarks.delta_truth import machine, measured
+from benchmarks.public import campaign
 from orthoglide.effects.free_form import free_forms
+from orthoglide.effects.kernels import Kernel
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.geometry import Geometry
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
+from tests import rig_campaigns
+from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 
@@ -64,11 +68,28 @@ def test_located_as_such_and_kept(
     assert np.abs(kept.forward(commands) - verdict.machine.forward(commands)).max() < 1e-7
 
 
-def test_a_short_stroke_has_one_of_each() -> None:
-    assert {p.part for p in free_forms() if p.short_waves} == {"drive"}
-    both = {p.name for p in free_forms(stroke=(-0.14, 0.4))} - {p.name for p in free_forms()}
-    assert len(both) == 3 * (2 + 3)
-    assert all(name.endswith("/waves") for name in both)
+@pytest.mark.parametrize("half", [0.004, 0.08, 0.27])
+def test_short_waves_are_shorter_than_the_others_on_every_stroke(half: float) -> None:
+    by_name = {p.name: p for p in free_forms(stroke=(-half, half))}
+    short = [p for p in by_name.values() if p.short_waves]
+    assert sorted(p.part for p in short) == 9 * ["carriage"] + 3 * ["drive"] + 6 * ["rail"]
+    for place in short:
+        other = by_name[place.name.replace("/waves", "/travel")]
+        assert isinstance(place.kernel, Kernel)
+        assert isinstance(other.kernel, Kernel)
+        assert place.kernel.length <= other.kernel.length / 2
+
+
+def test_waves_of_the_rail_of_an_orthoglide() -> None:
+    """Waves shorter than three distances of the stations belong to their rail, not to a dial."""
+    rows = rig_campaigns.protocol_rows("sweep")
+    rig = Rig(extra=(rig_campaigns.wavy_rail(0, 2, 3e-4, 0.025),))
+    readings = campaign(rig_campaigns.simulate(rig, rows, np.random.default_rng(8)))
+    verdict = og.close_loop([readings], og.Machine.nominal())
+    assert verdict.word == "located"
+    assert [
+        member.name.partition("/")[0] for found in verdict.located for member in found.members
+    ] == ["rail.x.z"]
 
 
 # -- machines of other sizes -----------------------------------------------------------------------

@@ -185,12 +185,10 @@ def free_forms(
     for leg in range(len(LEGS)):
         for form in _leg_forms(leg):
             forms.append(form)
-            if form.against == "travel" and form.part == "drive":
-                forms.append(replace(form, kernel=kernels.SCREW, short_waves=True))
-            elif form.against == "travel" and form.part != "platform" and half > kernels.SHORT_FROM:
-                forms.append(
-                    replace(form, kernel=kernels.short_wave_kernel(half), short_waves=True)
-                )
+            if form.against == "travel" and form.part != "platform":
+                of_drive = form.part == "drive"
+                kernel = kernels.SCREW if of_drive else kernels.short_wave_kernel(half)
+                forms.append(replace(form, kernel=kernel, short_waves=True))
     if session is not None:
         forms += _time_dependent_forms(session)
     return tuple(scaled_to_machine(replace(form, names=names), scale) for form in forms)

@@ -177,12 +177,13 @@ LINE = Kernel(1.0, 0, line=True)
 DRIFT = Kernel(0.5, 24, rough=0.1, from_zero=True)
 STEADY = replace(LINE, from_zero=True)
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
-# stroke. On a stroke of less than three such waves the kernels above describe them as well.
-_SHORT, SHORT_FROM = 0.015, 1.5 * LENGTH
+# stroke; half as long as those of `FINE` on a stroke of two `LENGTH`, and on a shorter one.
+_SHORT = 0.015
 _PER_LENGTH, _MOST = 5, 96  # functions for each correlation length in half a stroke; in all
 BUILD_UP = BuildUp((0.05, 0.1, 0.2, 0.4, 0.8))
 
 
 def short_wave_kernel(half: float) -> Kernel:
     """Return the kernel of waves of some centimetres on a stroke of ``2 half``, metres."""
-    return Kernel(_SHORT / half, min(_MOST, math.ceil(_PER_LENGTH * half / _SHORT)))
+    length = min(_SHORT / half, FINE.length / 2)
+    return Kernel(length, min(_MOST, math.ceil(_PER_LENGTH / length)))
