@@ -139,6 +139,21 @@ def test_the_console_of_klipper_gives_its_touches(tmp_path: Path) -> None:
         import_printer(tmp_path / "points.csv")
 
 
+@pytest.mark.parametrize(
+    "touch",
+    [
+        "Bed X: {:.2f} Y: {:.2f} Z: {:.3f}",
+        "// probe: at {:.3f},{:.3f} bed will contact at z={:.6f}",
+    ],
+)
+def test_a_line_that_was_cut_off_is_named(touch: str, tmp_path: Path) -> None:
+    lines = [touch.format(*point) for point in (*PLAIN, (30, 30, 5.1))]
+    lines[-1] = lines[-1][: max(lines[-1].rfind("Z"), lines[-1].find("bed will"))]
+    found = listed(tmp_path, "\n".join(lines))
+    assert points(found).tolist() == [list(p) for p in PLAIN]
+    assert any(f"left out: line {len(lines)}: two of x, y and z" in note for note in found.notes)
+
+
 def test_a_log_gives_its_touches_alone(tmp_path: Path) -> None:
     """Two probings, one point touched twice, positions reported between them."""
     touch = "Recv: Bed X: {} Y: {} Z: {}\n".format

@@ -19,7 +19,7 @@ _LABELLED = [
     for axis in ("x", "y", "z(?:-probe)?")  # Z-probe: of Repetier
 ]
 _CONSOLE = re.compile(  # of Klipper, which changed its words
-    rf"\bprobe:? at ({_NUMBER}),({_NUMBER}) (?:is|bed will contact at) z=", re.I
+    rf"\bprobe:? at ({_NUMBER}),({_NUMBER})(?: (?:is|bed will contact at) z=)?", re.I
 )
 _BED_LINE = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # of a tool, not of a touch
@@ -113,6 +113,8 @@ def _read_labelled(lines: Sequence[str], touch_lists: TouchLists) -> None:
         if is_touch and len(cells) == len(_LABELLED):
             x, y, z = map(_number, cells)
             touch_lists.add(Touch(number, x, y, z, touch_lists.temperature))
+        elif is_touch and len(cells) == len(_LABELLED) - 1:
+            touch_lists.leave_out("two of x, y and z, as of a line that was cut off", number, line)
         elif _PROBING.search(line):
             touch_lists.starts_list = True
 

@@ -148,10 +148,13 @@ class Problem:
 
     @property
     def single_reading_sd(self) -> ByUnit:
-        """Standard deviation of a single reading: of a length, and of an inclination."""
-        length = float("nan") if self.angular.all() else self.noise.typical
-        turns = self.reading_sd[self.angular]
-        return ByUnit(length, float(np.sqrt(np.mean(turns**2))) if len(turns) else float("nan"))
+        """Standard deviation of a single reading, rms: of a length, and of an inclination."""
+
+        def rms(rows: NDArray[np.bool_]) -> float:
+            sd = self.reading_sd[rows & self.weighted]
+            return float(np.sqrt(np.mean(sd**2))) if len(sd) else float("nan")
+
+        return ByUnit(rms(~self.angular), rms(self.angular))
 
     @property
     def declared_noise(self) -> float:
