@@ -134,7 +134,9 @@ def _jumps(effects: Iterable[str], forms: Iterable[FreeForm], stroke: Range) -> 
             moment = float(match[1] or match[2])
             yield with_jump(replace(form, timed=match[1] is not None), (moment, moment), stroke)
         elif match := re.fullmatch(f"({_TRAVEL})to({_TRAVEL})(?:up|down)?", spot):
-            yield with_jump(form, (_travel(match[1]), _travel(match[2])), stroke)
+            start, end = _travel(match[1]), _travel(match[2])
+            if start < end and start < stroke[1] and end > stroke[0]:  # else no such name
+                yield with_jump(form, (start, end), stroke)
 
 
 def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geometry) -> Catalogue:
