@@ -19,7 +19,7 @@ from orthoglide.observations.readings import (
 from orthoglide.observations.tables import (
     concatenated as concatenated,
     from_points as from_points,
-    renumber_orders as renumber_orders,
+    renumbered as renumbered,
     split_legs_and_tool as split_legs_and_tool,
 )
 from orthoglide.observations.writing import (

@@ -88,7 +88,7 @@ def concatenated(several: Sequence[Readings]) -> Readings:
             "one table is of one machine, and these call their legs otherwise: keep readings of "
             "different machines apart"
         )
-    tables = _renumber(renumber_orders(several), "line")
+    tables = renumbered(renumbered(several, "order"), "line")
     arrays = _stacked(tables, READING_ARRAYS)
     first_setup = np.cumsum([0, *(len(part.setups) for part in tables)])
     arrays["setup"] += np.repeat(first_setup[:-1], [len(part) for part in tables])
@@ -111,28 +111,23 @@ def _stacked(parts: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
     return {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
 
 
-def renumber_orders(given: Sequence[Readings]) -> list[Readings]:
-    """Return the tables with orders that follow each other."""
-    return _renumber(given, "order")
-
-
-def _renumber(tables: Sequence[Readings], name: Literal["order", "line"]) -> list[Readings]:
+def renumbered(tables: Sequence[Readings], name: Literal["order", "line"]) -> list[Readings]:
     """Return the tables with orders or lines that follow each other; lines of files are kept, and
     others only move back.
     """
-    renumbered, last = list[Readings](), 0
+    following, last = list[Readings](), 0
     for readings in tables:
         numbers, of_moves = getattr(readings, name), getattr(readings.moves, name)
         both = np.concatenate([numbers, of_moves])
         shift = last + 1 - both.min(initial=last + 1)
         if name == "line":
             shift = 0 if readings.file else max(shift, 0)
-        elif not renumbered:
+        elif not following:
             shift = 0
         moves: Moves = replace(readings.moves, **{name: of_moves + shift})
-        renumbered.append(replace(readings, **{name: numbers + shift, "moves": moves}))
+        following.append(replace(readings, **{name: numbers + shift, "moves": moves}))
         last = (both + shift).max(initial=last)
-    return renumbered
+    return following
 
 
 def split_legs_and_tool(readings: Readings) -> tuple[Readings, ...]:

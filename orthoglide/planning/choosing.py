@@ -33,18 +33,13 @@ class Criterion(ABC):
     information: Array  # on all columns of the readings (P, P), priors in it
 
     @property
-    @abstractmethod
-    def value(self) -> float:
-        """Figure of merit, the larger the better."""
-
-    @property
     def reached(self) -> bool:
         """True if no further reading is wanted; the number of readings is the limit otherwise."""
         return False
 
     @abstractmethod
     def gains(self, steps: Steps) -> Array:
-        """Return how much better each step would make the value ``(k,)``."""
+        """Return by how much each step would raise the figure of merit ``(k,)``."""
 
     def with_step(self, steps: Steps, k: int) -> Self:
         """Return the criterion once step ``k`` has been taken."""

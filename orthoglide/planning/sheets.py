@@ -12,7 +12,7 @@ from orthoglide.errors import UnreachableError, check_choice, check_list
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Readings, Setup, protocol, renumber_orders
+from orthoglide.observations import Readings, Setup, protocol, renumbered
 from orthoglide.observations.approach import Moves, stroke_overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.threads import on_one_thread
@@ -36,7 +36,7 @@ def sheets_by_kind(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings
     for kind in kinds:
         check_choice("instrument", kind, OBSERVATIONS)
     sheets = {kind: instrument_sheet(machine, kind) for kind in dict.fromkeys(kinds)}
-    of_tool = renumber_orders([sheet for sheet in sheets.values() if sheet.of_tool])
+    of_tool = renumbered([sheet for sheet in sheets.values() if sheet.of_tool], "order")
     return sheets | {sheet.name: sheet for sheet in of_tool}
 
 

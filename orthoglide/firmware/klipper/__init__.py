@@ -6,7 +6,6 @@ The formats and equations are those of the firmware's documentation and sources
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -197,11 +196,7 @@ class Printer:
 class Klipper:
     """Support for the firmware, an `orthoglide.add_ons.AddOn`."""
 
-    def read(
-        self, path: str | os.PathLike[str], *, turned: Mapping[str, float] | None = None
-    ) -> Imported:
-        """Read a ``printer.cfg``; see `import_printer`."""
-        return import_printer(path, turned)
+    read = staticmethod(import_printer)
 
     def stored(self, table: Mapping[str, Any]) -> Printer | None:
         """Return the printer of a table; ``None`` if the table was edited and has no numbers."""
