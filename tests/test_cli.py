@@ -351,6 +351,13 @@ def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     for row, goal in zip(again, [(1, 2, 3), (-20, 10, 5)], strict=True):
         reached = [float(row[f"p_{leg}_mm"]) for leg in "xyz"]
         np.testing.assert_allclose(reached, goal, atol=2e-6)
+    # Commands of a path are stated in two ways that agree, and with the sides of their approach.
+    done("compensate", "goal.csv", "--out", "commands.csv", *machine)
+    done("forward", "--csv", "commands.csv", "--out", "reached.csv", *machine)
+    for row in csv.DictReader((here / "reached.csv").open()):
+        for leg in "xyz":
+            reached, goal = (float(row[f"{name}_{leg}_mm"]) for name in ("computed_p", "p"))
+            assert reached == pytest.approx(goal, abs=2e-6)
     (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
     done("forward", "--csv", "travel.csv", "--out", "zero.csv")
     assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"

@@ -257,6 +257,8 @@ def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
     short = listed(tmp_path, head + sizes + rows.replace("  0.100,", ""))
     assert len(short.campaigns[0]) == 4
     assert any("line 4: 2 heights where 3 belong" in n for n in short.notes)
+    cut = listed(tmp_path, head + sizes + rows.partition("  0.400")[0])
+    assert any("2 rows of 3; more are missing below" in n for n in cut.notes)
 
 
 def test_a_height_map_of_a_spreadsheet(tmp_path: Path) -> None:

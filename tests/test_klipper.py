@@ -256,6 +256,8 @@ LEFT_OUT = {
                               "height", "different times"),
     "distance in another place": ("distance0 = 97.4598", "distance0 = 41.2", "distance",
                                   "DELTA_ANALYZE"),
+    "two of three steps": ("31752.000,42168.000,31693.000", "31752.000,42168.000", "height",
+                           "has 2 numbers where 3 belong"),
     "no key": ("#*# angle = 210.211440", "#*# angle = 210.211440\n#*# so it is", "", "'so it is'"),
 }  # fmt: skip
 
@@ -307,6 +309,9 @@ SAID = {
     "a height out of reach": (
         lambda t: re.sub(r"(#\*# height3_pos = )\d+", r"\g<1>99999", t),
         "mm, where the arms do not reach its stored position", 1, 18),
+    "a gear without a ratio": (
+        lambda t: t.replace("[stepper_a]\n", "[stepper_a]\ngear_ratio: 80\n", 1),
+        "gear_ratio must be a list of ratios such as 80:16", 1, 0),
     "steps of older firmware": (
         lambda t: t.replace("rotation_distance: 40", "step_distance: 0.0125"), "steps", 0, 19),
 }  # fmt: skip

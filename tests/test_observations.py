@@ -151,6 +151,9 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "outside the stroke": (
         cell("rho_x_mm", "372", 4), "372 mm of axis x is outside its stroke of 210.25 to 370.25",
         4),
+    "travel outside the stroke": (
+        chained(shifted(-310.25, *RHO), TO_TRAVEL, cell("travel_x_mm", "70", 4)),
+        "70 mm of axis x is outside its stroke of −100 to 60", 4),
     "both kinds of command": (added("travel_x_mm", "0"), "has rho_x_mm and travel_x_mm", 1),
     # setups
     "setup mixes legs": (
