@@ -14,7 +14,6 @@ import pinocchio as pin
 
 from orthoglide.arguments import public
 from orthoglide.control.numbers import controller_numbers
-from orthoglide.effects import Effect, LegConditions, Motion
 from orthoglide.effects.wording import grouped_by_effect
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
@@ -132,28 +131,19 @@ def calibrated_mjcf(machine: MachineSource) -> str:
 
 def constant_geometry(machine: Machine) -> dict[str, float]:
     """Return the parameters that are constant geometry, SI: places and directions of joints."""
-    effect_of = machine.catalogue.effect_of
-    return {n: v for n, v in machine.values.items() if _is_constant(effect_of(n), machine)}
+    return {n: v for n, v in machine.values.items() if _is_constant(machine, n)}
 
 
-def _is_constant(effect: Effect, machine: Machine) -> bool:
-    """Return whether an effect displaces joints by a constant, or tilts straight paths."""
-    if effect.of_dial or effect.needs:
+def _is_constant(machine: Machine, name: str) -> bool:
+    """Return whether a parameter displaces joints by a constant, or tilts straight paths."""
+    if machine.catalogue.effect_of(name).needs:
         return False
-    length, stroke = machine.geometry.L, machine.geometry.stroke
-    zero = machine.geometry.layout.zero(length)
-
-    def displacement(motion: Motion, s: float) -> float:
-        rho = zero + s
-        at = LegConditions(rho, length, stroke, None, 0, 0, 0, 0, s, zero, (rho,) * 3)
-        return float(motion.basis(at))
-
-    for motion in (motion for _, motions in effect.motions.values() for motion in motions):
-        low, middle, high = (displacement(motion, s) for s in (-_PROBE, 0.0, _PROBE))
-        curved = abs(low - 2 * middle + high) > 1e-12
-        if curved or (high != low and motion.joint not in _LATERAL):
-            return False
-    return True
+    along = machine.geometry.zero + np.array([[-_PROBE], [0.0], [_PROBE]])
+    moves = machine.model.displacements({name: 1.0}, Conditions.from_commands(along))
+    low, middle, high = moves.reshape(3, 3, -1)
+    curved = np.abs(low - 2 * middle + high) > 1e-12
+    lateral = np.isin(VIRTUAL_NAMES, _LATERAL)
+    return not (curved | ((high != low) & ~lateral)).any()
 
 
 def _leg_displacements(machine: Machine) -> dict[str, tuple[dict[str, float], Array]]:

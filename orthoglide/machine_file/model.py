@@ -85,10 +85,6 @@ class Stiffness:
     bar: float | None = None  # axial stiffness of a bar, N/m; rigid bars where absent
 
     def __post_init__(self) -> None:
-        if self.torsion is not None and not 0 <= self.torsion < np.inf:
-            raise InputError(
-                f"torsional stiffness must not be negative, in N m/rad, not {self.torsion}"
-            )
         if self.bar is not None and not 0 < self.bar < np.inf:
             raise InputError(f"a bar's stiffness must be positive, in N/m, not {self.bar}")
 
@@ -155,23 +151,11 @@ Pair = tuple[float, float]
 
 @dataclass(frozen=True)
 class Measured:
-    """Measured lengths with their standard deviations.
-
-    Raises:
-        InputError: where a length or a standard deviation is not above 0.
-    """
+    """Measured lengths with their standard deviations."""
 
     rods: Pair | None = None  # mean length of the bars between their pivots, metres
     # mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres
     travel: Pair | None = None
-
-    def __post_init__(self) -> None:
-        for name, pair in (("rods", self.rods), ("travel", self.travel)):
-            if pair is not None and not min(pair) > 0:
-                raise InputError(
-                    f"measured {name} are a length and its standard deviation, both above 0, in "
-                    f"metres, not {pair}"
-                )
 
     def parameter_priors(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]
