@@ -149,12 +149,9 @@ class Problem:
     @property
     def single_reading_sd(self) -> ByUnit:
         """Standard deviation of a single reading, rms: of a length, and of an inclination."""
-
-        def rms(rows: NDArray[np.bool_]) -> float:
-            sd = self.reading_sd[rows & self.weighted]
-            return float(np.sqrt(np.mean(sd**2))) if len(sd) else float("nan")
-
-        return ByUnit(rms(~self.angular), rms(self.angular))
+        of_unit = (self.reading_sd[u & self.weighted] for u in (~self.angular, self.angular))
+        rms = (np.sqrt(np.mean(sd**2)) if len(sd) else np.nan for sd in of_unit)
+        return ByUnit(*map(float, rms))
 
     @property
     def declared_noise(self) -> float:
