@@ -255,6 +255,9 @@ def test_a_dial_far_noisier_than_the_others_is_no_error_of_the_machine(seed: int
     problem = found.after.problem
     noisy = np.array([s.name == "yx-0.5" for s in problem.setups])[problem.setup_of_row]
     assert problem.reading_sd[noisy].min() > 2.5 * problem.reading_sd[~noisy].max()
+    # The residual of all readings is compared with the noise of all.
+    residual, noise = found.after.scores.rms, problem.single_reading_sd.length
+    assert 0.5 < residual / noise < 1.5
 
 
 def test_a_dial_with_the_noise_of_the_others_is_not_named() -> None:
