@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from click.testing import CliRunner, Result
 
-from benchmarks.fuzz_mutations import spoil_config, spoil_json, spoil_table, spoil_toml
+from benchmarks.fuzz_mutations import spoil_json, spoil_lines, spoil_table
 from benchmarks.fuzz_originals import originals
 from benchmarks.fuzz_printers import misread
 from benchmarks.fuzz_verdicts import Judged, judged, report
@@ -111,9 +111,8 @@ _SLOW = (
     "diagnose tool",
     "design sheet",
 )
-_SPOIL = {"machine": spoil_toml, "result": spoil_json, "printer": spoil_config}
-_SPOIL |= {"calibrated printer": spoil_config}
-_SPOIL |= {"delta": spoil_toml, "legs": spoil_toml}
+_LINES = ("machine", "delta", "legs", "printer", "calibrated printer")
+_SPOIL = {"result": spoil_json} | dict.fromkeys(_LINES, spoil_lines)
 
 
 def draw_case(number: int, only: str = "", light: bool = False) -> Case:

@@ -303,8 +303,3 @@ def campaign_text(campaign: Any, machine: og.Machine | None = None) -> str:
     from orthoglide.observations import campaign_text
 
     return str(campaign_text(campaign, *([machine.spec] if machine else [])))
-
-
-def tcp_text(points: og.Readings) -> str:
-    """Return the text of a TCP file."""
-    return campaign_text(points)

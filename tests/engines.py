@@ -10,12 +10,20 @@ import numpy as np
 
 from orthoglide import urdf
 from orthoglide.geometry import Array, Geometry
+from orthoglide.layout import LinearDelta
 from orthoglide.mechanism import Mechanism
 from orthoglide.mechanism.engine import Outputs, SixBars
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
+from tests.rig_delta import DeltaRig
 
 NOMINAL = Geometry()
 OTHER = Geometry(L=0.5, d=0.11, r=0.047, stroke=(-0.12, 0.08))
+_RIG = DeltaRig()
+DELTA = Geometry(
+    _RIG.L, _RIG.d, _RIG.r, _RIG.stroke,
+    LinearDelta((_RIG.radius,) * 3, _RIG.angles, _RIG.tool),
+)  # fmt: skip
+"""The linear delta of `tests.rig_delta`."""
 
 
 @cache

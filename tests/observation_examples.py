@@ -13,30 +13,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import LEGS
 from orthoglide.instruments import OBSERVATIONS, InstrumentPose, Setup
-from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, derive_approach
+from tests import engines
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 
 Array = np.ndarray
 BALL = np.array([0.02, -0.03, -0.25])
-DELTA_RIG = DeltaRig()
 ORTHOGLIDE = Machine.nominal()
-DELTA = Machine(
-    MachineFile(
-        geometry=Geometry(
-            DELTA_RIG.L,
-            DELTA_RIG.d,
-            DELTA_RIG.r,
-            DELTA_RIG.stroke,
-            LinearDelta((DELTA_RIG.radius,) * 3, DELTA_RIG.angles, DELTA_RIG.tool),
-        )
-    )
-)
+DELTA = Machine(MachineFile(geometry=engines.DELTA))
 MACHINES = {"orthoglide": ORTHOGLIDE, "delta": DELTA}
 TRUE = {
     "orthoglide": {

@@ -142,7 +142,7 @@ def test_a_covariance_of_another_machine_is_refused(tmp_path: Path) -> None:
 def test_zeros_of_parallel_slides_leave_the_tool_at_its_height_above_the_plate() -> None:
     """No reading tells that height, and no zero may pay for shape with it."""
     from orthoglide.accuracy import best_zeros
-    from tests.test_layout import DELTA
+    from tests.engines import DELTA
 
     worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(
         {"axis_tilt.a.radial": 4e-3, "mount_tilt.b.a": 8e-3, "joint_offset.c": -4e-4}
@@ -159,7 +159,7 @@ def test_zeros_of_parallel_slides_take_what_is_wrong_with_zeros() -> None:
     the shift: the shape fell from 0.54 to 0.47 mm.
     """
     from orthoglide.accuracy import best_zeros
-    from tests.test_layout import DELTA
+    from tests.engines import DELTA
 
     off = {"joint_offset.a": 0.7e-3, "joint_offset.b": -1.1e-3, "leg_length.c": 4e-5}
     worn = og.Machine(replace(og.Machine.nominal().spec, geometry=DELTA)).with_parameters(off)

@@ -417,18 +417,6 @@ def test_a_fault_of_many_lines_is_told_with_all():
     assert replace(drift, rows=(116,)).brief.endswith("in a.csv, line 116")
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("seed", [4, 5])
-def test_an_error_under_a_misread_dial_is_located(seed, machine):
-    """All readings of that error along one of its places had been excluded with the dial."""
-    rig = Rig(extra=(rc.s_curve(1, 0, 1e-4),))
-    rows = rc.swapped_sign(rows_of("two-gauges", seed=seed, rig=rig), "yx-0.65").rows
-    verdict = close_loop([campaign_of(rows, machine)], machine)
-    assert [fault.kind for fault in verdict.blunders] == ["sign"]
-    assert [found.name for found in verdict.located] == ["rail.y.x/travel"]
-    assert len(verdict.readings.measured) == len(rows)
-
-
 def test_a_change_since_a_calibration_is_as_free_without_the_faulty_rows(machine):
     """One slip narrowed its prior to a tolerance, which pulled it towards the earlier value."""
     calibrated = estimate_of(rows_of(), machine).machine

@@ -106,12 +106,10 @@ def assert_refused(result: Result, file: str, line: int | None, remedy: str) -> 
         (("--noise", "1e-300"), "from 1e-06 to 1, not 1e-300"),
         (("--noise", "5"), "from 1e-06 to 1, not 5"),
         (("--noise", "1e300"), "from 1e-06 to 1, not 1e+300"),
-        (("--machine", "none.toml"), "none.toml: there is no such file"),
         (("--reduced", "--free", "axis_tilt"), "free nothing else"),
         (("--no-priors", "--free", "joint_offset,leg_length,axis_tilt,axis_offset"),
          "do not determine"),
         (("experiment2.csv",), "two campaigns have the same name"),
-        (("none.csv",), "none.csv: there is no such file"),
         ((".",), "cannot be read"),
     ],
 )  # fmt: skip
@@ -232,11 +230,6 @@ def test_a_name_that_is_too_long(command: tuple[str, ...], here: Path) -> None:
 
 
 # --- What is made ---------------------------------------------------------------------------
-
-FILES = {
-    "result.json", "calibrated.toml", "calibrated.npz", "residuals.csv", "report.html",
-    "figures/readings.svg", "figures/residuals.svg",
-}  # fmt: skip
 
 
 def test_json_is_the_file_and_a_calibrated_machine_is_a_machine(here: Path) -> None:

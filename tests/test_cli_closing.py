@@ -204,18 +204,6 @@ def test_rerun_says_what_is_not_reproduced(identified: Path) -> None:
     assert tree(identified) == before
 
 
-def test_rerun_names_the_file_that_was_read(identified: Path) -> None:
-    def edit(result: Any) -> None:
-        result["inputs"][0]["rows"][1]["reading_mm"] = "99"
-
-    change(identified / "out" / "result.json", edit)
-    result = run("rerun", "out/result.json")
-    assert result.exit_code == 2
-    assert result.stderr.startswith("orthoglide: out/result.json: is not as it was written")
-    assert "(rig-2.csv, line 3: reading_mm is 99" in result.stderr
-    assert "orthoglide-" not in result.stderr
-
-
 BROKEN: dict[str, tuple[str, str]] = {
     "not JSON": ("{", "is not JSON"),
     "a list": ("[]", "has no 'schema'"),

@@ -19,9 +19,9 @@ from orthoglide.comparison.comparing import PITCH, Comparison, cube
 from orthoglide.comparison.tables import markdown_table, micrometres
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
+from orthoglide.layout import FreeLeg, FreeLegs
+from tests.engines import DELTA
 from tests.rig import Array, Rig
-from tests.rig_delta import DeltaRig
 
 ROOT = Path(__file__).parents[1]
 SOME = ("joint_offset.y", "axis_offset.x.y", "axis_tilt.z.y", "bar_mismatch.y", "backlash.x")
@@ -112,7 +112,6 @@ def test_tables_hold_the_rows() -> None:
     assert cells[1][2] == micrometres(rows[1].fitted.max)
 
 
-DELTA = DeltaRig()
 _AXES = ("x", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ("y", (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
 # The legs of an Orthoglide in another order: the platform is on the other side of the carriages.
 MIRRORED = FreeLegs(
@@ -121,13 +120,7 @@ MIRRORED = FreeLegs(
         for name, slide, link in (("z", (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), _AXES[1], _AXES[0])
     )
 )  # type: ignore[arg-type]
-LAYOUTS = {
-    "linear delta": Geometry(
-        DELTA.L, DELTA.d, DELTA.r, DELTA.stroke,
-        LinearDelta((DELTA.radius,) * 3, DELTA.angles, DELTA.tool),
-    ),
-    "free legs": Geometry(layout=MIRRORED),
-}  # fmt: skip
+LAYOUTS = {"linear delta": DELTA, "free legs": Geometry(layout=MIRRORED)}
 
 
 def other(kind: str) -> Machine:
@@ -193,10 +186,3 @@ def test_the_command_writes_tables_and_figures(tmp_path: Path) -> None:
     again = invoke("--effects", "mount_tilt.x.b", "--out", str(out))
     assert again[0] == 2
     assert "overwritten" in again[1]
-
-
-def test_the_command_refuses_what_is_no_effect(tmp_path: Path) -> None:
-    code, text = invoke("--effects", "nonsense", "--out", str(tmp_path / "out"))
-    assert code == 2
-    assert "nonsense" in text
-    assert not (tmp_path / "out").exists()

@@ -31,7 +31,7 @@ from orthoglide.control import (
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
-from orthoglide.layout import FreeLeg, FreeLegs, LinearDelta
+from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller, Posterior
 from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.tree import Tree, general_tree
@@ -416,11 +416,9 @@ def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_pa
 COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
 
 
-def tree_of(text: str, *, general: bool, geometry: Geometry | None = None) -> Tree:
-    geometry = geometry or Geometry()
-    motors = tuple(f"{leg}_slide" for leg in geometry.leg_names)
-    nominal = Tree.of_model(pin.buildModelFromXML(text), closures(geometry), motors)
-    return general_tree(nominal) if general else nominal
+def tree_of(text: str) -> Tree:
+    motors = tuple(f"{leg}_slide" for leg in LEGS)
+    return general_tree(Tree.of_model(pin.buildModelFromXML(text), closures(Geometry()), motors))
 
 
 def closed_tcp(tree: Tree, travel: Array) -> Array:
@@ -441,7 +439,7 @@ def closed_tcp(tree: Tree, travel: Array) -> Array:
 def test_with_relief_joints_all_constant_geometry_is_held() -> None:
     values = constant_geometry(machine(everything()))
     assert len(values) > 30
-    tree = tree_of(calibrated_urdf(machine(values)), general=True)
+    tree = tree_of(calibrated_urdf(machine(values)))
     slope = np.zeros(3)
     for leg in range(3):
         across = [j for j in range(3) if j != leg]
@@ -453,22 +451,6 @@ def test_with_relief_joints_all_constant_geometry_is_held() -> None:
     for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
         found = closed_tcp(tree, (rho - L) * np.sqrt(1 + slope**2))
         assert np.abs(found - p).max() < 1e-9
-
-
-LEGS_ALONG_THE_AXES = FreeLegs(
-    tuple(
-        FreeLeg(name, tuple(0.34125 * a), tuple(a), tuple(c))
-        for name, a, c in zip("xyz", np.eye(3), np.roll(np.eye(3), 1, axis=0), strict=True)
-    )
-)  # type: ignore[arg-type]
-"""Where the Orthoglide's legs stand, and by their names: still no Orthoglide to the package."""
-
-OTHERS = {
-    "linear delta": Geometry(
-        0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04))
-    ),
-    "free legs": Geometry(layout=LEGS_ALONG_THE_AXES),
-}
 
 
 def test_the_comment_says_what_is_left_out() -> None:
@@ -517,7 +499,9 @@ def test_a_path_in_metres_is_doubted(tmp_path: Path) -> None:
 
 def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
     """In what Python shows, in the names of files, and in the table of its zeros."""
-    geometry = OTHERS["linear delta"]
+    geometry = Geometry(
+        0.27, 0.05, 0.032, (-0.05, 0.4), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04))
+    )
     bare = Machine(replace(Machine.nominal().spec, geometry=geometry))
     assert repr(bare) == "<Machine 'Linear delta, arms of 270 mm': no errors>"
     found = bare.with_parameters({"joint_offset.a": 1e-3, "leg_length.b": 1e-4})

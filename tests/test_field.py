@@ -155,14 +155,15 @@ def test_a_slip_that_is_only_likely_is_kept_and_told(tmp_path: Path) -> None:
     ],
 )
 def test_a_touch_off_its_surface_is_told_on_its_side(off: float, said: str) -> None:
-    """A touch below was a speck on the plate, too. A reading is what the nozzle hangs above it."""
+    """It does not count. Below it was a speck, too: a reading is what the nozzle hangs above it."""
     found = og.import_printer(FIELD.parent / "delta" / "flight505.cfg")
     _, readings = found.campaigns  # the mesh
     row = int(np.argmin(np.linalg.norm(readings.command, axis=1)))
     spoilt = readings.with_readings(readings.reading + off * (np.arange(len(readings)) == row))
-    warnings = og.identify([spoilt], og.Machine(found.machine)).warnings
-    (told,) = (w for w in warnings if f"line {readings.line[row]}," in w)
+    fit = og.identify([spoilt], og.Machine(found.machine))
+    (told,) = (w for w in fit.warnings if f"line {readings.line[row]}," in w)
     assert said in told
+    assert readings.line[row] not in fit.problem.tool_factors[0].readings.line
 
 
 @pytest.mark.parametrize(("off", "said"), [(-4e-4, "above"), (4e-4, "below")])

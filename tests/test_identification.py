@@ -6,7 +6,6 @@ reduction where they must be exact.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
@@ -42,9 +41,6 @@ PLANTED = {
 MACHINE = Machine(MachineFile(dial=Dial(repeatability=NOISE)))
 
 
-EXACT = MachineFile(dial=Dial(resolution=0.0, repeatability=NOISE, placement=0))
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _engine_built_once_for_all_tests() -> None:
     MACHINE.model.engine  # noqa: B018
@@ -72,16 +68,6 @@ def published(number: int = 2) -> Campaign:
 @cache
 def fit_of_published(priors: bool = True) -> Estimate:
     return identify(published(), priors=priors)
-
-
-def predicted(
-    machine: Machine, values: Mapping[str, float], sheet: Campaign, noise: float = 0.0
-) -> Campaign:
-    """What a machine of this package shows, with a datum a setup."""
-    rng = np.random.default_rng(5)
-    shown = machine.model.readings(values, sheet)
-    datum = rng.uniform(-1e-3, 1e-3, len(sheet.setups))[sheet.setup]
-    return sheet.with_readings(shown + datum + noise * rng.standard_normal(len(sheet)))
 
 
 def agree(one: Estimate, other: Estimate, within: float = NANOMETRE) -> None:

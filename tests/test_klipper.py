@@ -154,32 +154,6 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
         assert why in done.output
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("off", [0.4, -0.15])
-def test_a_touch_that_is_none_of_the_plate(off: float, tmp_path: Path) -> None:
-    """It had counted as the plate's roughness, and the endstop's error went unseen in that."""
-    verdicts = []
-    lines = simulated_cfg(DeltaRig(errors={"joint_offset.b": 3e-4})).split("\n")
-    (first,) = (k for k, line in enumerate(lines) if line.startswith("#*# points"))
-    for spoilt in (0.0, off):
-        row = [float(z) for z in lines[first + 6].removeprefix("#*# \t").split(",")]
-        row[2] += spoilt  # x -60, y 30
-        text = [*lines[: first + 6], "#*# \t" + ", ".join(map(str, row)), *lines[first + 7 :]]
-        found = imported(tmp_path, "\n".join(text))
-        verdicts.append(studied(list(found.campaigns), found.machine))
-    sound, spoilt_one = verdicts
-    assert (sound.word, spoilt_one.word) == ("adequate", "adequate")
-    told = [w for w in spoilt_one.after.warnings if w.kind == "stray"]
-    assert not [w for w in sound.after.warnings if w.kind == "stray"]
-    assert len(told) == 1
-    size = re.search(r"x −60, y 30 mm is (\S+) mm (above|below) the surface", told[0])
-    assert size is not None, told[0]
-    assert float(size[1]) * {"above": 1, "below": -1}[size[2]] == pytest.approx(off, abs=0.04)
-    for name, value in sound.values.items():
-        sigma = sound.after.sigmas[name]
-        assert spoilt_one.values[name] == pytest.approx(value, abs=0.3 * sigma)
-
-
 def test_a_printer_without_readings_of_its_plate_is_given_no_numbers() -> None:
     """Zeros by a model that no touch of the plate tied to it would drive the nozzle into it."""
     machine = Machine(plain().machine).with_parameters({"axis_tilt.a.radial": 4e-3})
@@ -217,18 +191,21 @@ def test_a_broken_file_is_told_with_its_line(kind: str, tmp_path: Path) -> None:
     assert not (tmp_path / "o").exists()
 
 
+def said_of(text: str, folder: Path) -> str:
+    """What the import says of a file, whether it fails or lacks something."""
+    (folder / "printer.cfg").write_text(text)
+    try:
+        return "\n".join(import_printer(folder / "printer.cfg").notes)
+    except FileError as error:
+        return str(error)
+
+
 @pytest.mark.parametrize("broken", ["[{}", "{}]", "{}", "({})"])
 def test_a_stored_header_without_its_brackets_is_named(broken: str, tmp_path: Path) -> None:
-    """With its line and what to write, whether the import then fails or lacks what stands below."""
-    file, text = tmp_path / "printer.cfg", V400.read_text()
     for name in ("printer", "delta_calibrate"):
-        before, header, after = text.partition(f"#*# [{name}]")
+        before, header, after = V400.read_text().partition(f"#*# [{name}]")
         assert header
-        file.write_text(f"{before}#*# {broken.format(name)}{after}")
-        try:
-            said = "\n".join(import_printer(file).notes)
-        except FileError as error:
-            said = str(error)
+        said = said_of(f"{before}#*# {broken.format(name)}{after}", tmp_path)
         at = f"printer.cfg, line {before.count(chr(10)) + 1}: '{broken.format(name)}'"
         assert at in said, said
         assert f"must be [{name}]" in said
@@ -239,45 +216,11 @@ def test_a_stored_header_without_its_brackets_is_named(broken: str, tmp_path: Pa
 )
 def test_a_stored_header_that_is_lost_is_named(name: str, tmp_path: Path) -> None:
     """Seven heights and all distances vanished without a word."""
-    file, text = tmp_path / "printer.cfg", V400.read_text()
-    before, header, after = text.partition(f"#*# [{name}]\n")
+    before, header, after = V400.read_text().partition(f"#*# [{name}]\n")
     assert header
-    file.write_text(before + after)
-    try:
-        said = "\n".join(import_printer(file).notes)
-    except FileError as error:
-        said = str(error)
+    said = said_of(before + after, tmp_path)
     assert "so the header above it was lost: write" in said, said
     assert "or remove the line if you added it" in said
-
-
-LEFT_OUT = {
-    "steps of another time": ("31752.000,42168.000,31693.000", "31752.000,32168.000,31693.000",
-                              "height", "different times"),
-    "distance in another place": ("distance0 = 97.4598", "distance0 = 41.2", "distance",
-                                  "DELTA_ANALYZE"),
-    "two of three steps": ("31752.000,42168.000,31693.000", "31752.000,42168.000", "height",
-                           "has 2 numbers where 3 belong"),
-    "no key": ("#*# angle = 210.211440", "#*# angle = 210.211440\n#*# so it is", "", "'so it is'"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", LEFT_OUT)
-def test_what_cannot_be_read_is_left_out_alone(kind: str, tmp_path: Path) -> None:
-    """One sentence names its file, line and value, and all else is imported."""
-    old, new, word, phrase = LEFT_OUT[kind]
-    text = V400.read_text()
-    assert old in text
-    (tmp_path / "printer.cfg").write_text(text.replace(old, new))
-    found = import_printer(tmp_path / "printer.cfg")
-    (note,) = (n for n in found.notes if "left out" in n)
-    assert phrase in note
-    assert re.search(r"printer\.cfg, line \d+: ", note)
-    counts = [len(c) for c in plain().campaigns]
-    assert [len(c) for c in found.campaigns] == [counts[0] - bool(word), *counts[1:]]
-    kept = found.campaigns[0]
-    of_kind = kept.of_kind({"height": "plate"}.get(word, "distance")).sum()
-    assert of_kind == {"height": 6, "distance": 11, "": 12}[word]
 
 
 def without(text: str, start: str) -> str:
@@ -314,6 +257,17 @@ SAID = {
         "gear_ratio must be a list of ratios such as 80:16", 1, 0),
     "steps of older firmware": (
         lambda t: t.replace("rotation_distance: 40", "step_distance: 0.0125"), "steps", 0, 19),
+    "steps of another time": (
+        lambda t: t.replace("31752.000,42168.000,31693.000", "31752.000,32168.000,31693.000"),
+        "different times", 1, 18),
+    "distance in another place": (
+        lambda t: t.replace("distance0 = 97.4598", "distance0 = 41.2"), "DELTA_ANALYZE", 1, 18),
+    "two of three steps": (
+        lambda t: t.replace("31752.000,42168.000,31693.000", "31752.000,42168.000"),
+        "has 2 numbers where 3 belong", 1, 18),
+    "no key": (
+        lambda t: t.replace("#*# angle = 210.211440", "#*# angle = 210.211440\n#*# so it is"),
+        "'so it is'", 1, 19),
 }  # fmt: skip
 
 
@@ -327,11 +281,15 @@ def test_what_becomes_of_stored_heights_and_distances(kind: str, tmp_path: Path)
     assert sum(phrase in note for note in found.notes) == times
     if phrase == "left out: all 7 heights":  # and numbers of a mesh alone were advised
         assert found.machine.provenance["klipper"]["calibrate_again"] is True
-    kept = found.campaigns[0]
     if not count:
         assert "calibration" not in [c.name for c in found.campaigns]
         return
+    kept, *meshes = found.campaigns
     assert len(kept) == count
+    assert [len(c) for c in meshes] == [len(c) for c in plain().campaigns[1:]]
+    if kind in ("steps of another time", "distance in another place", "no key"):
+        (note,) = (n for n in found.notes if "left out" in n)
+        assert re.search(r"printer\.cfg, line \d+: ", note)
     before = dict(zip(whole.posture, whole.command, strict=True))
     off = [c - before[label] for label, c in zip(kept.posture, kept.command, strict=True)]
     assert np.abs(off).max() < 1e-9

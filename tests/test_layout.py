@@ -26,14 +26,11 @@ from orthoglide.observations import campaign_rows, csv_text, read_tcp
 from orthoglide.parameters import Parameter
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.simulation import simulate_tcp
-from tests.engines import forward, mechanism
+from tests.engines import DELTA, forward, mechanism
 from tests.relabelling import relabelled
 from tests.rig_delta import DeltaRig, parameter_names
 
 RIG = DeltaRig()
-DELTA = Geometry(
-    RIG.L, RIG.d, RIG.r, RIG.stroke, LinearDelta((RIG.radius,) * 3, RIG.angles, RIG.tool)
-)
 UNEVEN = Geometry(
     0.3455, 0.05, 0.032, (-0.17, 0.43),
     LinearDelta((0.1949, 0.195, 0.1951), (210.2, 330.07, 90.0), (0.001, -0.002, -0.04)),

@@ -17,14 +17,7 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
-from orthoglide.measuring import (
-    MAX_READINGS,
-    SETTLED_CRITERION,
-    Record,
-    Session,
-    SessionEnd,
-    opening_sheet,
-)
+from orthoglide.measuring import SETTLED_CRITERION, Record, Session, SessionEnd, opening_sheet
 from orthoglide.measuring.session import parse_answer
 from tests.rig import Rig
 from tests.rig_campaigns import read_csv
@@ -60,7 +53,6 @@ def conversation(
     path: Path,
     machine: og.Machine,
     answer: Callable[[str, Operator], str],
-    most: int = MAX_READINGS,
 ) -> tuple[Operator, list[str], Callable[[], SessionEnd | None]]:
     """A session with an operator; ``answer`` may change what it says."""
     operator = Operator(Rig(errors=TILTED), np.random.default_rng(5))
@@ -73,7 +65,7 @@ def conversation(
 
     seconds = iter(range(0, 10**6, 10))
     session = Session(machine, Record(path, machine.spec), lambda q: answer(q, operator), tell,
-                      max_readings=most, clock=lambda: float(next(seconds)))  # fmt: skip
+                      clock=lambda: float(next(seconds)))  # fmt: skip
     return operator, said, session.run
 
 

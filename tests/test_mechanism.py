@@ -13,9 +13,8 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.perfect_legs import commands as commands_of
-from orthoglide.mechanism.tree import VIRTUAL_NAMES, general_tree, load
+from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from tests.engines import (
     NOMINAL,
     OTHER,
@@ -29,7 +28,6 @@ from tests.engines import (
 from tests.rig import rotation
 
 CORNERS = np.array(list(product(NOMINAL.stroke, repeat=3))) + NOMINAL.L
-TREES = pytest.mark.parametrize("general", [False, True], ids=["nominal", "general"])
 MACHINE = Machine.nominal()
 
 
@@ -123,27 +121,6 @@ def test_velocity_jacobian_equals_eq_5() -> None:
     _, by_given = six_bars().tangent(*given(rho))
     assert np.abs(by_given[:, :3, :3] - expected).max() < 1e-9
     assert np.abs(MACHINE.jacobian(rho) - expected).max() < 1e-9
-
-
-# -- the constraint Jacobian -----------------------------------------------------------------
-
-
-@TREES
-def test_constraint_jacobian_equals_central_differences(
-    general: bool,
-) -> None:
-    tree = general_tree(load()) if general else load()
-    constraints, h = Constraints(tree), 1e-6
-    rng = np.random.default_rng(7)
-    for _ in range(10):
-        q = 0.4 * rng.standard_normal(tree.model.nq)
-        q[tree.drive] *= 0.1
-        assert np.abs(constraints.residual(q)).max() > 0.05  # far from closed
-        numeric = np.column_stack(
-            [(constraints.residual(q + h * e) - constraints.residual(q - h * e)) / (2 * h)
-             for e in np.eye(len(q))]
-        )  # fmt: skip
-        assert np.abs(constraints.jacobian(q) - numeric).max() < 1e-7
 
 
 # -- mobility, rigid and relieved legs -------------------------------------------------------

@@ -17,9 +17,8 @@ from orthoglide.machine import Machine
 from orthoglide.mechanism.mjcf import to_mjcf
 from orthoglide.mechanism.tree import RELIEF_NAMES, load
 from orthoglide.urdf import closures, to_urdf
-from tests.engines import NOMINAL, OTHER, commands, forward
+from tests.engines import DELTA, NOMINAL, OTHER, commands, forward
 from tests.mujoco_machine import Dimensions, MujocoMachine, six_bar_mjcf
-from tests.test_layout import DELTA
 
 
 def exported(geometry: Geometry = NOMINAL, relief: bool = True) -> str:

@@ -56,12 +56,6 @@ def verdict(closed: RunOutcome) -> og.Verdict:
     return build_result(closed, og.Verdict)
 
 
-def test_only_what_is_public_is_shown() -> None:
-    assert dir(og) == sorted(og.__all__)
-    for name in og.__all__:
-        assert (getattr(og, name).__doc__ or "").strip(), name
-
-
 def test_no_public_name_is_a_room() -> None:
     """Else importing the room would put itself in the name's place."""
     assert not set(og.__all__) & {m.name for m in pkgutil.iter_modules(og.__path__)}

@@ -35,7 +35,7 @@ from orthoglide.report.sentences import claim_text, headline
 from orthoglide.result import Request
 from orthoglide.result.fits import WeakDirection
 from orthoglide.text import listed
-from orthoglide.verdict import Verdict, run
+from orthoglide.verdict import Verdict
 
 DATA = Path(og.__file__).parent / "data"
 RIG = Path(__file__).parent / "data" / "rig"
@@ -48,11 +48,6 @@ def asked(
     machine = machine or og.Machine.nominal()
     several = tuple(og.read_campaign(file, machine.spec) for file in files)
     return Request("identify", (*several, *campaigns), machine, **options)
-
-
-def identified(*files: Path, **options: Any) -> Verdict:
-    """The result of ``identify`` on files, or on campaigns."""
-    return run(asked(*files, **options))
 
 
 @cache

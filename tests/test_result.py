@@ -159,16 +159,6 @@ def test_of_many_readings_the_extremes_are_drawn(count: int) -> None:
     assert len(_rows_to_draw(np.zeros(count), left)) <= MAX_DRAWN
 
 
-def test_a_loaded_verdict_shows_itself(verdict: og.Verdict, folder: Path) -> None:
-    again = og.Verdict.load(folder)
-    assert str(again) == str(verdict)
-    assert again._repr_html_() == verdict._repr_html_()
-    for what in ("residuals", "readings", "workspace"):
-        assert again.plot(what).svg == verdict.plot(what).svg
-    with pytest.raises(og.InputError, match="no figure 'everything': it is one of residuals"):
-        again.plot("everything")
-
-
 def test_a_report_is_written_without_the_search(folder: Path, tmp_path: Path) -> None:
     program = (
         "import sys, orthoglide as og; og.Verdict.load(sys.argv[1]).report(sys.argv[2]); "

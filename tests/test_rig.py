@@ -101,15 +101,3 @@ def test_protocols_are_those_of_the_rig_campaigns(name: str, tmp_path: Path) -> 
 
     assert conditions(tmp_path / "out.csv") == conditions(DATA / f"{name}.csv")
     assert campaigns.read_csv(tmp_path / "out.csv") == rows
-
-
-def test_approach_of_the_data() -> None:
-    """Backlash as it is defined fits the data; the other sign does not."""
-    rows = campaigns.read_csv(DATA / "rig-3.csv")
-    measured = np.array([row["reading_mm"] for row in rows]) * 1e-3
-    rms = []
-    for sign in (1, -1):
-        errors = key_errors(KEYS["rig-3"]) | {"backlash.x": sign * 6e-5}
-        left = free_datum(rows, measured - campaigns.predict(Rig(errors=errors), rows))
-        rms.append(np.sqrt(np.mean(left**2)))
-    assert rms[0] < 7e-6 < 2 * rms[0] < rms[1]

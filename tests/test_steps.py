@@ -10,7 +10,7 @@ import pytest
 
 import orthoglide as og
 from benchmarks import public
-from orthoglide.effects.bumps_and_jumps import jumping, with_free_forms, with_jump
+from orthoglide.effects.bumps_and_jumps import jumping, with_jump
 from orthoglide.effects.free_form import FreeForm, free_forms
 from orthoglide.effects.kernels import Step
 from orthoglide.explanation.causes import pool_variants
@@ -61,13 +61,6 @@ def form_of(name: str) -> FreeForm:
 
 NAMES = ("drive.x/travel@0to20", "drive.y/travel@-5.9to-2.6", "drive.z/approach@-1to0up",
          "drive.z/approach@40to60down")  # fmt: skip
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_step_is_found_again_by_its_name(name: str) -> None:
-    effect = form_of(name).effect
-    found = with_free_forms(MACHINE.catalogue, [next(iter(effect.motions))], MACHINE.geometry)
-    assert [*found[effect.name].motions] == [*effect.motions]
 
 
 def test_a_calibrated_step_predicts_the_readings_beside_it() -> None:

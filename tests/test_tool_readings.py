@@ -14,24 +14,20 @@ from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.fit import assemble, refit_with_residual_noise
 from orthoglide.fit.repeats import roughness
-from orthoglide.geometry import Geometry, align_points
-from orthoglide.layout import LinearDelta
+from orthoglide.geometry import align_points
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument, MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.observations.checks import check_readings
 from orthoglide.planning.sheets import instrument_sheet
+from tests.engines import DELTA
 from tests.factors import factor_of
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
 
 RIG = DeltaRig()
-SPEC = MachineFile(
-    geometry=Geometry(
-        RIG.L, RIG.d, RIG.r, RIG.stroke, LinearDelta((RIG.radius,) * 3, RIG.angles, RIG.tool)
-    )
-)
+SPEC = MachineFile(geometry=DELTA)
 MACHINE = Machine(SPEC)
 TRUE = MACHINE.with_parameters(
     {"joint_offset.a": 3e-4, "axis_offset.b.radial": 4e-4, "axis_tilt.tangential.common": 3e-3}
@@ -182,8 +178,6 @@ REFUSED = {
 @pytest.mark.parametrize("said", REFUSED)
 def test_what_no_instrument_does_is_refused(said: str) -> None:
     frame = {"kind": ["plate"] * 2, "setup": ["p"] * 2, "reading_mm": [0.0] * 2} | REFUSED[said]
-    if "reading_mrad" in frame:
-        del frame["reading_mm"]
     frame |= {f"travel_{n}_mm": [0.0, 1.0] for n in "abc"}
     with pytest.raises(InputError, match=said):
         Readings.from_frame(frame, machine_file=SPEC)

@@ -20,7 +20,6 @@ from orthoglide.fit import Estimate
 from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import load
-from orthoglide.notes import Note
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings
 from orthoglide.report import report_files, result_text
@@ -240,7 +239,3 @@ def test_residuals_stand_under_their_units() -> None:
         figures = [v for k, v in row.items() if k.endswith(f"_{other}") and not k.startswith("rho")]
         assert set(figures) == {""}
         assert row["direction"] in set("xyz")
-
-
-def quiet(verdict: Verdict) -> list[Note]:
-    return [note for note in verdict.after.warnings if note.kind == "quiet"]

@@ -17,7 +17,7 @@ from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
 from orthoglide.machine_file import MachineFile
 from orthoglide.viewer import MagnifiedMachine, show, static_page
-from tests.test_layout import DELTA
+from tests.engines import DELTA
 from tests.test_report import browsed
 
 umsgpack = pytest.importorskip("umsgpack", reason="the viewer needs meshcat")

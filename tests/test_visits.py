@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +30,14 @@ from tests.test_steps import ERRORS, MACHINE, STROKE, one_way, stations
 # --- In files ---------------------------------------------------------------------------------
 
 FORMS = free_forms(Session(0.0, 3600.0))
+GAPS = [(-0.0166, -0.0092), (0.0, 0.02)]  # metres
 JUMPS = [
-    with_jump(jump, (1000.0, 1020.0) if form.against == "time" else (-0.0166, -0.0092), STROKE)
+    with_jump(jump, pause, STROKE)
     for form in FORMS
     for jump in jumping(form)
+    for pause in ([(1000.0, 1020.0)] if form.against == "time" else GAPS)
 ]
-BUMPS = travel_bumps([[-0.05, 0.0123]] * 3, CATALOGUE.legs, STROKE)
+BUMPS = travel_bumps([[-0.0871, 0.0, 0.0123]] * 3, CATALOGUE.legs, STROKE)
 KEPT = {form.name: form for form in (*FORMS, *JUMPS, *BUMPS) if form.of_machine}
 
 
@@ -48,7 +50,9 @@ def test_what_is_read_back_says_the_same(name: str) -> None:
     curve = found_curve(form, coefficients)
     names = [*form.effect.motions]
     values = dict(zip(names, (coefficients * form.prior_sd).tolist(), strict=True))
-    catalogue = with_free_forms(CATALOGUE, names, MACHINE.geometry).with_shapes(values)
+    read_back = with_free_forms(CATALOGUE, names[:1], MACHINE.geometry)
+    assert [*map(str, read_back[form.effect.name].motions)] == [*map(str, names)]
+    catalogue = read_back.with_shapes(values)
     effect = catalogue[form.effect.name]
     pair = names[0].undirected
     assert cause_words(catalogue, pair, values) == curve.words
@@ -90,19 +94,12 @@ def test_the_name_of_a_step_keeps_its_travels() -> None:
 # --- At a later visit -------------------------------------------------------------------------
 
 ROWS = stations(range(-100, 61, 20), 2)
-Fault = Callable[[float], Mapping[str, Any]]
-
-
-def of_rig(field: str, extra: Callable[[float], Any]) -> Fault:
-    return lambda value: {field: (extra(value),)}
-
-
-KINDS: dict[str, tuple[Fault, float]] = {
-    "step": (of_rig("extra", lambda v: rc.drive_step(0, v, -0.002)), 5e-4),
-    "dead spot": (of_rig("extra", lambda v: one_way(1, v, 0.026)), -5e-4),
-    "curve of a rail": (of_rig("extra", lambda v: rc.s_curve(0, 1, v)), 1.5e-4),
-    "curve of a drive": (of_rig("extra", lambda v: rc.drive_wave(1, v, 0.12)), 4e-4),
-    "jump in time": (of_rig("extra", lambda v: rc.jumping_drive(1, v, 1000.0)), 4e-4),
+KINDS: dict[str, tuple[Callable[[float], Any], float]] = {
+    "step": (lambda v: rc.drive_step(0, v, -0.002), 5e-4),
+    "dead spot": (lambda v: one_way(1, v, 0.026), -5e-4),
+    "curve of a rail": (lambda v: rc.s_curve(0, 1, v), 1.5e-4),
+    "curve of a drive": (lambda v: rc.drive_wave(1, v, 0.12), 4e-4),
+    "jump in time": (lambda v: rc.jumping_drive(1, v, 1000.0), 4e-4),
 }
 AGAIN = "jump in time"
 """It happens at both visits; a calibrated machine stays where it is after the first."""
@@ -110,7 +107,7 @@ AGAIN = "jump in time"
 
 def visit(kind: str, share: float, seed: int, name: str) -> og.Campaign:
     fault, size = KINDS[kind]
-    rig = Rig(**{"errors": ERRORS, **fault(share * size)})
+    rig = Rig(errors=ERRORS, extra=(fault(share * size),))
     return public.campaign(rc.simulate(rig, ROWS, np.random.default_rng(seed)), name)
 
 
@@ -145,6 +142,10 @@ def test_a_repaired_error_shows_no_more(first: Any) -> None:
     assert gone.name == first[1].located[0].name
     assert (found.changes, found.come, found.resized) == ((), (), ())
     assert found.sentences[0].startswith("what was located before shows no more: ")
+    assert found.line.startswith("Changed: what is located.")
+    back = check([visit(first[0], 0.0, 9250, "new")], first[2])
+    assert [one.name for one in back.come] == [gone.name]
+    assert back.sentences[0].startswith("located now, and not before: ")
     assert not again.effects
     assert not again.located
 
