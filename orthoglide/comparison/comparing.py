@@ -169,20 +169,17 @@ class Comparison:
         warmth = 20.0 + WARMING * blank.time / blank.time.max()
         return replace(blank, temperature=warmth, load=np.full(len(blank), LOAD))
 
-    def mechanism_tcp(
-        self, values: Mapping[str, float], conditions: Conditions | None = None
-    ) -> tuple[Array, float]:
+    def mechanism_tcp(self, values: Mapping[str, float]) -> tuple[Array, float]:
         """Return the TCP ``(n, 3)`` of the mechanism, and the platform's largest turn, radians."""
         from scipy.spatial.transform import Rotation  # which is slow to load
 
-        conditions = conditions or self.conditions
-        distinct, rows = conditions.merged(self.model.needed_conditions(values))
+        distinct, rows = self.conditions.merged(self.model.needed_conditions(values))
         outputs = self.model.outputs(values, distinct)
         return outputs.p[rows], float(Rotation.from_matrix(outputs.R).magnitude().max())
 
-    def reduction_tcp(self, six: Array, conditions: Conditions | None = None) -> Array:
+    def reduction_tcp(self, six: Array) -> Array:
         """Return the TCP ``(n, 3)`` of the reduction with offsets and lengths ``(6,)``, metres."""
-        travel = (conditions or self.conditions).command - self.geometry.zero + six[:3]
+        travel = self.conditions.command - self.geometry.zero + six[:3]
         centres = self.geometry.centres + travel[..., None] * self.geometry.slides
         return intersect_spheres(centres, self.geometry.L + six[3:], self.mode)
 
