@@ -147,7 +147,8 @@ def test_four_changes_since_a_calibration(visits: tuple[og.Campaign, og.Campaign
         assert change.sigma < abs(TRUE[name]) / 3
     assert "leg_length.x" not in {str(c.parameter) for c in again.changed}
     # Each is one thing to do, with what it may be instead: a page shows five of these and no more.
-    to_do = [a.options for a in actions(again) if a.words.startswith("Confirm the repair")]
+    confirmed = (a for a in actions(again, (), None) if a.words.startswith("Confirm the repair"))
+    to_do = [action.options for action in confirmed]
     assert [len(options) for options in to_do] == [len(c.members) for c in again.changed]
 
 
