@@ -8,12 +8,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.stats import norm
 
 from orthoglide.explanation import linear_model
 from orthoglide.explanation.alternatives import Alternatives
 from orthoglide.explanation.credible_sets import merge_families
-from orthoglide.explanation.full_likelihood import FullLikelihood
+from orthoglide.explanation.full_likelihood import FullLikelihood, _span
 from orthoglide.explanation.linear_model import Group, LinearModel, identity_group, left_singular
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.explanation.search import Search, State, explained_by_group
@@ -284,7 +285,9 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     datums = np.repeat(50 * np.eye(3), 10, axis=0)
     weighing = Weighing(np.full(n, 2.0), np.zeros(n), np.arange(n))
     both = np.hstack([machine, datums])
-    wide = FullLikelihood(weighing, both, residual, np.arange(n), (1.0, 1.0))
+    wide = FullLikelihood(
+        weighing, both, residual, sparse.identity(n, format="csr"), np.arange(n), (1.0, 1.0)
+    )
     cov = np.eye(n) + machine @ machine.T + datums @ datums.T
     change = rng.standard_normal((n, 2))
     changed = residual[:, None] + change / 2
@@ -306,8 +309,8 @@ def test_other_readings_against_their_covariance_written_out(causes: int) -> Non
     other[10:, 10:] += datums[10:] @ datums[10:].T
     other[:10, :10] += placed @ placed.T
     labelled = log_likelihood(np.concatenate([rest, residual[10:]]), other)
-    relabelled = wide.relabelled(own, 2 * columns, 2 * placed, 2 * rest)
-    assert relabelled.log_likelihood(np.zeros((n, 1))) == pytest.approx([labelled])
+    prediction = wide.prediction_without(own, np.arange(causes))
+    assert prediction.relabelled(columns, placed, rest) == pytest.approx(labelled, abs=1e-6)
 
 
 @pytest.mark.parametrize("causes", [3, 40], ids=["more rows", "more causes"])
@@ -318,9 +321,11 @@ def test_readings_with_equal_rows_are_weighed_by_their_sums(causes: int) -> None
     rng, group = np.random.default_rng(causes), np.tile(np.arange(10), 3)
     columns, residual = 3 * rng.standard_normal((10, causes)), 5 * rng.standard_normal(30)
     weighing = Weighing(np.full(30, 2.0), np.zeros(30), group)
-    dense = FullLikelihood(weighing, columns[group], residual, np.arange(30), (1.0, 1.0))
-    sums = FullLikelihood(weighing, np.sqrt(3) * columns, residual, group, (1.0, 1.0))
-    change, no_change = rng.standard_normal((30, 2)), np.zeros((30, 1))
+    every = sparse.identity(30, format="csr")
+    means = sparse.csr_matrix(np.eye(10)[group] / np.sqrt(3))
+    dense = FullLikelihood(weighing, columns[group], residual, every, np.arange(30), (1.0, 1.0))
+    sums = FullLikelihood(weighing, np.sqrt(3) * columns, residual, means, group, (1.0, 1.0))
+    change = rng.standard_normal((30, 2))
     assert sums.log_likelihood(change) == pytest.approx(dense.log_likelihood(change))
     assert sums.expected_noise(change[:, 0]) == pytest.approx(dense.expected_noise(change[:, 0]))
     setup = np.flatnonzero(group < 5)
@@ -333,11 +338,41 @@ def test_readings_with_equal_rows_are_weighed_by_their_sums(causes: int) -> None
     assert one == pytest.approx(other)
     assert (one > 0).all()
     again, placed, rest = rng.standard_normal((5, causes)), np.ones((15, 1)), residual[::2]
-    labelled = [w.relabelled(setup, again[group[setup]], placed, rest) for w in (sums, dense)]
-    one, other = (w.log_likelihood(no_change) for w in labelled)
+    predictions = [w.prediction_without(setup, np.arange(causes)) for w in (sums, dense)]
+    one, other = (p.relabelled(again[group[setup]], placed, rest / 2) for p in predictions)
     assert one == pytest.approx(other)
     # Other labels change the rows and not the scatter of readings with equal rows.
     assert sums.deletion(setup).relabelling_limit < dense.deletion(setup).relabelling_limit + 5
+
+
+@pytest.mark.parametrize("setups", [[1], [0, 2]], ids=["one setup", "two setups"])
+def test_other_labels_against_the_factorisation_of_all_readings(setups: list[int]) -> None:
+    """Datums of 2000 standard deviations: sums of squares alone lose six digits of them."""
+    rng, setup, machine = np.random.default_rng(7), np.repeat(np.arange(4), 60), 40
+    rough = rng.standard_normal((4, 8, machine)) * 100.0 ** -np.arange(8)[:, None]
+    parts = [[rng.standard_normal((60, 8)) @ part for part in rough] for _ in range(2)]
+    read, labelled = (300 * np.vstack(one) for one in parts)
+    datums, residual = 2000 * np.eye(4)[setup], 5 * rng.standard_normal(240)
+    columns, n = np.hstack([read, datums]), len(setup)
+    blocks = [_span(columns[setup == k]) for k in range(4)]
+    basis = sparse.csr_matrix(sparse.block_diag(blocks))
+    weighing = Weighing(np.ones(n), np.zeros(n), np.arange(n))
+    likelihood = FullLikelihood(
+        weighing, basis.T @ columns, residual, basis, np.arange(n), (1.0, 1.0)
+    )
+    rows, after = np.flatnonzero(np.isin(setup, setups)), columns.copy()
+    after[rows, :machine] = labelled[rows]
+    expected = []
+    for one in (columns, after):
+        stacked = np.vstack([np.column_stack([one, residual]), np.eye(44, 45)])
+        size = np.abs(np.diag(np.linalg.qr(stacked, mode="r")))
+        expected.append(-(size[-1] ** 2) / 2 - np.log(size[:-1]).sum())
+    found = likelihood.prediction_without(rows, np.arange(machine)).relabelled(
+        labelled[rows], datums[rows], residual[rows]
+    )
+    assert basis.shape[1] < n / 3
+    assert found == pytest.approx(expected[1], abs=1e-6)
+    assert likelihood.log_likelihood(np.zeros((n, 1)))[0] == pytest.approx(expected[0], abs=1e-6)
 
 
 def test_a_setup_is_predicted_by_all_others_in_metres() -> None:
@@ -348,8 +383,9 @@ def test_a_setup_is_predicted_by_all_others_in_metres() -> None:
     covariance = np.diag(weighing.sigma**2) + 6e-6**2 * (station[:, None] == station)
     precision = np.linalg.inv(covariance + columns @ columns.T)
     likelihood = FullLikelihood(
-        weighing, weighing.whiten(columns), weighing.whiten(readings), np.arange(18), (1.0, 1.0)
-    )
+        weighing, weighing.whiten(columns), weighing.whiten(readings),
+        sparse.identity(18, format="csr"), np.arange(18), (1.0, 1.0),
+    )  # fmt: skip
     setup = np.flatnonzero(station < 2)
     expected = np.linalg.solve(precision[np.ix_(setup, setup)], (precision @ readings)[setup])
     assert likelihood.deletion(setup).difference == pytest.approx(expected, rel=1e-6)
@@ -364,7 +400,9 @@ def test_readings_far_finer_than_their_datums_are_still_weighed() -> None:
     )
     weighing = Weighing(np.ones(n), np.zeros(n), np.arange(n))
     residual = rng.standard_normal(n)
-    wide = FullLikelihood(weighing, columns, residual, np.arange(n), (1.0, 1.0))
+    wide = FullLikelihood(
+        weighing, columns, residual, sparse.identity(n, format="csr"), np.arange(n), (1.0, 1.0)
+    )
     assert np.isfinite(wide.log_likelihood(np.zeros((n, 1)))).all()
 
 

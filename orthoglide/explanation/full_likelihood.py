@@ -3,25 +3,28 @@
 Every parameter and every nuisance of an instrument may deviate by its prior standard deviation,
 which gives whitened readings the covariance ``S = 1 + A A^T``, with the columns A in these standard
 deviations. Alternative readings r' have the log likelihood
-``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them.
+``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them. Other labels
+change the columns of one setup or two: all other readings predict the machine once, and each label
+costs only a factorisation in its parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy import sparse
+from scipy.linalg import qr, solve_triangular
 
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.faults import Rows
-from orthoglide.fit.least_squares import rounding
 from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
+from orthoglide.observations.arrays import group_ids
 
 Scales = tuple[float, float]
 """Background scales of the parameters, in tolerances, and of the free-form errors."""
@@ -33,6 +36,12 @@ half the range of a dial."""
 _LEAST_EXCESS = 2.0
 """Standard deviations by which the squares of a setup must exceed their mean before larger noise is
 considered: an excess of z gains ``z^2 / 2`` at most, 2 at two, against log odds of 3 at least."""
+
+_SUM_ROUNDING = 1e-15  # of a sum of squares, relative to it: some machine epsilons
+_LEAST_LENGTH = 1e-9
+"""Standard deviations of a reading by which a coefficient of one unit moves what is left out of a
+basis: with 30 units, and readings off by 10 000 standard deviations, it counts for less than 1e-6
+in a log likelihood."""
 
 _ROUNDING = 1e-12  # of entries of S^-1, which are 1 or less: sums of some thousand products
 
@@ -62,80 +71,118 @@ class Deletion(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class WhitenedRows:
+    """Readings and their columns in units of the noise, which all backgrounds share.
+
+    The columns of each setup are expressed in an orthonormal basis of their span, so that many
+    readings cost no more than their rank. What is orthogonal to it is noise.
+    """
+
+    model: LinearisedModel
+    basis: Any  # of all setups, a sparse matrix (n, m)
+    columns: Array  # of the coefficients, in their units, in the basis (m, C)
+    nuisances: Array  # of the instruments, in prior standard deviations (m, k)
+    residual: Array  # readings less the prediction at zero (n,)
+
+    @classmethod
+    def of(cls, model: LinearisedModel) -> WhitenedRows:
+        """Return the readings of a linear model."""
+        nuisance, problem, group = model.nuisance, model.problem, model.rows.index
+        first, counts = model.rows.first, np.bincount(group)
+        means = nuisance.of_means(group)
+        precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
+        rows = model.rows.rows(first)
+        columns = means.weighing.whiten(np.hstack([rows, means.columns / np.sqrt(precision)]))
+        # Readings without weight keep their labels, and are a part of their own.
+        part = group_ids(np.column_stack([problem.setup_of_row, problem.weighted]))[first]
+        parts = [np.flatnonzero(part == k) for k in range(part.max() + 1)]
+        blocks = [_span(columns[of_part]) for of_part in parts]
+        order = np.argsort(np.concatenate(parts))
+        of_means = sparse.csr_matrix(sparse.block_diag(blocks))[order]
+        columns = of_means.T @ columns
+        return cls(
+            model,
+            sparse.diags(1 / np.sqrt(counts[group])) @ of_means[group],
+            columns[:, : rows.shape[1]],
+            columns[:, rows.shape[1] :],
+            nuisance.weighing.whiten(problem.measured - model.value_at_zero),
+        )
+
+    def likelihood(self, scales: Scales, slab_root: Array) -> FullLikelihood:
+        """Return the likelihood over a background and the slab of some active groups."""
+        columns, expected = in_standard_deviations(self.model, self.columns, scales, slab_root)
+        return FullLikelihood(
+            self.model.nuisance.weighing,
+            np.hstack([columns, self.nuisances]),
+            self.residual - self.basis @ expected,
+            self.basis,
+            self.model.rows.index,
+            scales,
+            slab_root,
+        )
+
+
+def _span(columns: Array) -> Array:
+    """Return an orthonormal basis ``(k, r)`` of the span of whitened columns ``(k, q)``."""
+    basis, triangle, _ = qr(columns, mode="economic", pivoting=True)
+    return np.asarray(basis[:, np.abs(np.diag(triangle)) > _LEAST_LENGTH])
+
+
+class Prediction(NamedTuple):
+    """Some coefficients given all readings but those of some setups."""
+
+    log_likelihood: float  # of these readings
+    mean: Array  # of the coefficients, in prior standard deviations (p,)
+    root: Array  # of their covariance (p, p)
+
+    def relabelled(self, columns: Array, instruments: Array, residual: Array) -> float:
+        """Return the log likelihood of all readings if those of the setups have other columns
+        ``(k, p)``, nuisances and residual ``(k,)``, all whitened.
+
+        The last row of a triangular factor is the root of the least square, without the loss of
+        digits of a difference of squares.
+        """
+        moved = np.hstack([columns @ self.root, instruments])
+        q, rest = moved.shape[1], residual - columns @ self.mean
+        rows = np.vstack([np.column_stack([moved, rest]), np.eye(q, q + 1)])
+        diagonal = np.abs(np.diag(np.linalg.qr(rows, mode="r")))
+        log_determinant = 2 * float(np.log(diagonal[:q]).sum())
+        return self.log_likelihood - (float(diagonal[q]) ** 2 + log_determinant) / 2
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class FullLikelihood:
     """Likelihood of readings under the full model, in units of their noise."""
 
     weighing: Weighing
-    # one row for each group of readings with equal rows, which stands for their sum over the root
-    # of their number: their differences are noise. First the columns of the machine, then those of
-    # its instruments, in prior standard deviations (m, q)
+    # in the basis (m, q): first those of the machine, then of its instruments, in prior standard
+    # deviations
     columns: Array
     residual: Array  # (n,)
-    group: NDArray[np.int64]  # row of each reading (n,)
+    basis: Any  # orthonormal, a sparse matrix (n, m): what is orthogonal to it is noise
+    group: NDArray[np.int64]  # number of each reading's row among the different ones (n,)
     scales: Scales
-    square: Array | None = None  # ``S`` or ``1 + A^T A``, see ``_square``, if it is known
     # root of the covariance that active groups add to the coefficients (C, k)
     slab_root: Array | None = None
 
-    @classmethod
-    def from_linear_model(
-        cls, model: LinearisedModel, scales: Scales, slab_root: Array
-    ) -> FullLikelihood:
-        """Linearise the readings about the posterior, with the slab of some active groups."""
-        nuisance = model.nuisance
-        precision = np.maximum(nuisance.precision, WIDEST_DATUM**-2.0)
-        rows = model.rows.rows(model.rows.first)
-        columns, expected = in_standard_deviations(model, rows, scales, slab_root)
-        group, means = model.rows.index, nuisance.of_means(model.rows.index)
-        return cls(
-            nuisance.weighing,
-            means.weighing.whiten(np.hstack([columns, means.columns / np.sqrt(precision)])),
-            nuisance.weighing.whiten(
-                model.problem.measured - model.value_at_zero - expected[group]
-            ),
-            group,
-            scales,
-            slab_root=slab_root,
-        )
-
     @cached_property
-    def _counts(self) -> NDArray[np.int64]:
-        """Number of readings of each row ``(m,)``."""
-        return np.bincount(self.group)
-
-    def _normalised_sums(self, readings: Array) -> Array:
-        """Return the normalised sums ``(m, ...)`` of whitened readings ``(n, ...)`` of one row."""
-        order, count = np.argsort(self.group, kind="stable"), self._counts
-        sums = np.add.reduceat(readings[order], np.cumsum(count) - count, axis=0)
-        return np.asarray((sums.T / np.sqrt(count)).T)
-
-    @cached_property
-    def _is_wide(self) -> bool:
-        """True if columns outnumber rows. Then ``S`` is factorised, and else ``1 + A^T A``, the
-        smaller of the two, with ``S^-1 = 1 - A (1 + A^T A)^-1 A^T``.
-        """
-        return self.columns.shape[1] > len(self.columns)
-
-    @cached_property
-    def _square(self) -> Array:
-        """``S`` ``(m, m)`` or ``1 + A^T A`` ``(q, q)``."""
-        if self.square is not None:
-            return self.square
-        columns = self.columns if self._is_wide else self.columns.T
-        square = columns @ columns.T
+    def _covariance(self) -> Array:
+        """``S`` in the basis ``(m, m)``."""
+        square = self.columns @ self.columns.T
+        # A Cholesky factor is rounded relative to each row, of which datums have the largest.
+        square[np.diag_indices_from(square)] *= 1 + _SUM_ROUNDING * len(square)
         square[np.diag_indices_from(square)] += 1.0
         return np.asarray(square)
 
     @cached_property
     def _cholesky(self) -> Array:
-        """Cholesky factor of ``_square``."""
-        square = self._square + rounding(self._square)
-        return np.asarray(np.linalg.cholesky(square), dtype=np.float64)
+        """Cholesky factor of ``S``."""
+        return np.asarray(np.linalg.cholesky(self._covariance), dtype=np.float64)
 
     @cached_property
     def _root(self) -> Array:
-        """``V`` of ``S^-1 = V V^T`` ``(m, m)``, or of ``S^-1 = 1 - V V^T`` ``(m, q)``."""
-        right = np.eye(len(self.columns)) if self._is_wide else self.columns.T
+        """``V`` of ``S^-1 = V V^T`` ``(m, m)``."""
+        right = np.eye(len(self.columns))
         return np.asarray(solve_triangular(self._cholesky, right, lower=True).T)
 
     @cached_property
@@ -145,22 +192,35 @@ class FullLikelihood:
 
     def _weighted(self, residual: Array) -> Array:
         """Return ``S^-1`` times a residual ``(n,)``."""
-        sums = self._normalised_sums(residual)
+        sums = self.basis.T @ residual
         product = self._root @ (self._root.T @ sums)
-        explained = sums - product if self._is_wide else product
-        return np.asarray(residual - (explained / np.sqrt(self._counts))[self.group])
+        return np.asarray(residual - self.basis @ (sums - product))
 
     def log_likelihood(self, change: Array) -> Array:
         """Return the log likelihood ``(h,)`` of readings with changes ``(n, h)``, metres."""
         residuals = self.residual[:, None] + self.weighing.whiten(change)
-        sums = self._normalised_sums(residuals)
-        right = sums if self._is_wide else self.columns.T @ sums
-        projected = solve_triangular(self._cholesky, right, lower=True)
-        explained = np.sum(projected**2, axis=0)
-        if self._is_wide:
-            explained = np.sum(sums**2, axis=0) - explained
-        square = np.sum(residuals**2, axis=0) - explained
+        sums = self.basis.T @ residuals
+        projected = solve_triangular(self._cholesky, sums, lower=True)
+        noise = residuals - self.basis @ sums
+        square = np.sum(noise**2, axis=0) + np.sum(projected**2, axis=0)
         return np.asarray(-(square + _log_determinant(self._cholesky)) / 2)
+
+    def prediction_without(self, rows: Rows, coefficients: Rows) -> Prediction:
+        """Return the prediction of some coefficients by all readings but those of whole setups."""
+        others = np.setdiff1d(np.arange(len(self.columns)), self.basis[rows].indices)
+        cholesky = np.linalg.cholesky(self._covariance[np.ix_(others, others)])
+        sums = self.basis.T @ self.residual
+        noise = np.delete(self.residual - self.basis @ sums, rows)
+        right = np.column_stack([self.columns[np.ix_(others, coefficients)], sums[others]])
+        whitened = solve_triangular(cholesky, right, lower=True)
+        columns, residual = whitened[:, :-1], whitened[:, -1]
+        square = float(noise @ noise + residual @ residual)
+        values, vectors = np.linalg.eigh(np.eye(len(coefficients)) - columns.T @ columns)
+        return Prediction(
+            -(square + _log_determinant(cholesky)) / 2,
+            columns.T @ residual,
+            vectors * np.sqrt(np.maximum(values, 0.0)),
+        )
 
     def deletion(self, rows: Rows, change: Array | None = None) -> Deletion:
         """Return some readings, with a change of all readings ``(n,)``, metres, against their
@@ -169,31 +229,30 @@ class FullLikelihood:
         weighted = self._weighted_as_read
         if change is not None and change.any():
             weighted = self._weighted(self.residual + self.weighing.whiten(change))
-        present, of_row, count = self._rows_of(rows)
-        cholesky = np.asarray(np.linalg.cholesky(self._inverse_block(present, count)))
-        sums = np.bincount(of_row, weighted[rows]) / np.sqrt(count)
-        differences = weighted[rows] - (sums / np.sqrt(count))[of_row]
+        span, inverse = self._inverse_block(rows)
+        cholesky = np.asarray(np.linalg.cholesky(inverse))
+        sums = span.T @ weighted[rows]
         whitened = solve_triangular(cholesky, sums, lower=True)
         scaled = solve_triangular(cholesky, whitened, lower=True, trans="T")
-        difference = differences + (scaled / np.sqrt(count))[of_row]
-        scatter = float(differences @ differences)
+        noise = weighted[rows] - span @ sums
+        _, of_row, counts = np.unique(self.group[rows], return_inverse=True, return_counts=True)
+        scatter = weighted[rows] - (np.bincount(of_row, weighted[rows]) / counts)[of_row]
         return Deletion(
-            self.weighing.subset(rows).metres(difference), float(whitened @ whitened) + scatter,
-            _log_determinant(cholesky), scatter, len(present),
+            self.weighing.subset(rows).metres(noise + span @ scaled),
+            float(whitened @ whitened + noise @ noise),
+            _log_determinant(cholesky), float(scatter @ scatter), len(counts),
         )  # fmt: skip
 
-    def _rows_of(self, readings: Rows) -> tuple[Rows, Rows, Rows]:
-        """Return the different rows ``(k,)`` of some readings, the index of each reading's row
-        among them, and how many of the readings have each.
+    def _inverse_block(self, rows: Rows) -> tuple[Array, Array]:
+        """Return an orthonormal basis ``(k, r)`` of the rows of some readings, and their block of
+        ``S^-1`` in it ``(r, r)``; orthogonal to it, the block is the identity.
         """
-        return np.unique(self.group[readings], return_inverse=True, return_counts=True)
-
-    def _inverse_block(self, present: Rows, count: Rows) -> Array:
-        """Return the block of ``S^-1`` ``(k, k)`` of ``count`` readings of each of some rows."""
-        share, no_noise = np.sqrt(count / self._counts[present]), np.eye(len(present))
-        block = self._root[present] @ self._root[present].T
-        hat = no_noise - block if self._is_wide else block
-        return np.asarray((1 + _ROUNDING) * no_noise - share[:, None] * hat * share)
+        part = self.basis[rows]
+        present = np.unique(part.indices)
+        span, triangle = np.linalg.qr(part[:, present].toarray())
+        no_noise, root = np.eye(len(triangle)), triangle @ self._root[present]
+        hat = triangle @ triangle.T - root @ root.T
+        return span, np.asarray((1 + _ROUNDING) * no_noise - hat)
 
     def noise_gains(self, rows: Rows, ratios: Sequence[float]) -> Array:
         """Return the gain of log likelihood if the noise of some readings is so many times larger
@@ -202,9 +261,8 @@ class FullLikelihood:
         With the block B of ``S^-1`` and w of ``S^-1 r``, noise of a variance larger by v changes
         the log likelihood by ``v w^T (1 + v B)^-1 w / 2 - ln|1 + v B| / 2``.
         """
-        present, of_row, count = self._rows_of(rows)
-        inverse, weighted = self._inverse_block(present, count), self._weighted_as_read[rows]
-        sums, scatter_dof = np.bincount(of_row, weighted) / np.sqrt(count), len(rows) - len(count)
+        (span, inverse), weighted = self._inverse_block(rows), self._weighted_as_read[rows]
+        sums, scatter_dof = span.T @ weighted, len(rows) - len(inverse)
         expected = np.trace(inverse) + scatter_dof
         spread = np.sqrt(2 * (np.sum(inverse**2) + scatter_dof))
         if weighted @ weighted < expected + _LEAST_EXCESS * spread:
@@ -216,34 +274,6 @@ class FullLikelihood:
         dof = np.append(np.ones(len(sums)), scatter_dof)
         gains = added * squares / (1 + added * values) - dof * np.log1p(added * values)
         return np.asarray(gains.sum(axis=1) / 2)
-
-    def relabelled(
-        self, rows: Rows, columns: Array, instruments: Array, residual: Array
-    ) -> FullLikelihood:
-        """Return the likelihood with other columns of the machine ``(k, C)``, nuisances and
-        residual ``(k,)`` of whole setups, all in metres.
-        """
-        whiten = self.weighing.subset(rows).whiten
-        present, first = np.unique(self.group[rows], return_index=True)
-        changed = np.pad(self.columns, [(0, 0), (0, instruments.shape[1])])
-        changed[present] = 0.0
-        changed[present, : columns.shape[1]] = whiten(columns)[first]
-        changed[present, self.columns.shape[1] :] = whiten(instruments)[first]
-        changed[present] *= np.sqrt(self._counts[present])[:, None]
-        residuals = self.residual.copy()
-        residuals[rows] = whiten(residual)
-        square = None
-        if self._is_wide:  # only these rows and columns of S change
-            square = self._square.copy()
-            square[present] = changed[present] @ changed.T
-            square[:, present] = square[present].T
-            square[present, present] += 1.0
-        elif changed.shape[1] <= len(changed):  # only their part of A^T A changes
-            before, after = self.columns[present], changed[present]
-            square, count = after.T @ after, len(self._square)
-            square[:count, :count] += self._square - before.T @ before
-            square[range(count, len(square)), range(count, len(square))] += 1.0
-        return replace(self, columns=changed, residual=residuals, square=square)
 
     def expected_noise(self, change: Array) -> Array:
         """Return the expected noise of changed readings ``(n,)``, metres."""

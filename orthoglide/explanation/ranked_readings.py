@@ -33,7 +33,9 @@ from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
     Deletion,
     FullLikelihood,
+    Prediction,
     Scales,
+    WhitenedRows,
     in_standard_deviations,
 )
 from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
@@ -177,19 +179,17 @@ def _rank(
     deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, deletions, dials)]
-    corrected, lost = zip(
-        *(corrected_readings(problem, fault) for fault in alternatives), strict=True
-    )
-    all_changes = np.column_stack([problem.measured, *corrected]) - problem.measured[:, None]
-    logs = np.stack([w.log_likelihood(all_changes) for w in likelihoods]) - costs[:, None]
+    logs, changes, lost = _log_likelihoods(problem, likelihoods, alternatives)
+    logs -= costs[:, None]
     selections = slice(None), slice(len(background_scales))
     as_read = [np.logaddexp.reduce(logs[part, 0]) for part in selections]
-    limits = dict[int, float]()
-    for s in rows_by_setup:
-        without = logs[:, 0] + [deletion[s].relabelling_limit for deletion in deletions]
-        limits[s] = max(
-            float(without[part].max() - log) for part, log in zip(selections, as_read, strict=True)
+    limits = {
+        s: max(
+            float((logs[of, 0] + [d[s].relabelling_limit for d in deletions[of]]).max() - log)
+            for of, log in zip(selections, as_read, strict=True)
         )
+        for s in rows_by_setup
+    }
     relabelled = dict[int, Fault]()
     for k, fault in enumerate(alternatives, 1):
         if fault.kind == "noisy":
@@ -200,7 +200,7 @@ def _rank(
         elif fault.relabels:
             relabelled[k], logs[:, k] = fault, -np.inf
         elif len(lost[k - 1]):
-            logs[:, k] += [w.deletion(lost[k - 1], all_changes[:, k]).gain for w in likelihoods]
+            logs[:, k] += [w.deletion(lost[k - 1], changes[k - 1]).gain for w in likelihoods]
     priors = np.array([fault.log_odds for fault in alternatives])
 
     def all_log_odds() -> list[Array]:
@@ -210,15 +210,32 @@ def _rank(
 
     # Other labels take most time, and are left out where three others exceed their usual gain.
     enough = [odds[descending(odds)[:_MOST_RANKED]][-1] for odds in all_log_odds()]
+    predictions = dict[bytes, list[Prediction]]()  # of the machine, by the rows it is without
     for k, fault in relabelled.items():
         limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
         if limit > max(least, min(enough)):
-            logs[:, k] = _relabelled_log_likelihoods(model, likelihoods, fault) - costs
+            logs[:, k] = _relabelled(model, likelihoods, predictions, fault) - costs
     ranked_odds = dict[int, float]()
     for odds in all_log_odds():
         for k in descending(odds, LOG_ODDS_MARGIN)[:_MOST_RANKED]:
             ranked_odds[k] = max(float(odds[k]), ranked_odds.get(k, -np.inf))
     return [(odds, alternatives[k]) for k, odds in ranked_odds.items() if odds > least]
+
+
+def _log_likelihoods(
+    problem: Problem, likelihoods: Sequence[FullLikelihood], alternatives: Sequence[Fault]
+) -> tuple[Array, list[Array], list[Rows]]:
+    """Return the log likelihoods of the readings as they stand, and of alternatives ``(b, 1 + K)``,
+    with the changes of the readings ``(n,)`` and the rows that are lost by each of these.
+    """
+    corrected = [corrected_readings(problem, fault) for fault in alternatives]
+    changes = [readings - problem.measured for readings, _ in corrected]
+    other = np.flatnonzero([False, *(bool(change.any()) for change in changes)])
+    columns = np.column_stack([np.zeros(len(problem.measured)), *(changes[k - 1] for k in other)])
+    found = np.stack([w.log_likelihood(columns) for w in likelihoods])
+    logs = np.repeat(found[:, :1], 1 + len(changes), axis=1)
+    logs[:, other] = found[:, 1:]
+    return logs, changes, [rows for _, rows in corrected]
 
 
 def _backgrounds(
@@ -229,24 +246,33 @@ def _backgrounds(
     A misreading may come beside groups that are active in the readings as they stand, or in place
     of them: beside none, one, all but one, or all.
     """
-    model, mixture = posterior.linearised, posterior.mixture
+    readings, mixture = WhitenedRows.of(posterior.linearised), posterior.mixture
     likelihoods, costs = list[FullLikelihood](), list[float]()
     count = len(mixture.best)
     for size in sorted({0, min(1, count), max(count - 1, 0), count}):
         for state in combinations(mixture.best, size):
             root, cost = mixture.slab_root(state), sum(mixture.cost[group] for group, _ in state)
             for scales in background_scales[: 1 if state else None]:
-                likelihoods.append(FullLikelihood.from_linear_model(model, scales, root))
+                likelihoods.append(readings.likelihood(scales, root))
                 costs.append(float(cost))
     return likelihoods, np.array(costs)
 
 
-def _relabelled_log_likelihoods(
-    model: LinearisedModel, likelihoods: Sequence[FullLikelihood], fault: Fault
+def _relabelled(
+    model: LinearisedModel,
+    likelihoods: Sequence[FullLikelihood],
+    predictions: dict[bytes, list[Prediction]],
+    fault: Fault,
 ) -> Array:
     """Return the log likelihoods ``(b,)`` of readings under other labels, with free datums and
-    placements of their setups.
+    placements of their setups; add the predictions without these readings, if they are new.
     """
+    count, first = model.parameter_count, len(model.units)
+    # Readings under other labels have columns of parameters, and of active groups.
+    kept = [np.r_[:count, first : w.columns.shape[1] - model.nuisance.count] for w in likelihoods]
+    if (key := fault.rows.tobytes()) not in predictions:
+        pairs = zip(likelihoods, kept, strict=True)
+        predictions[key] = [w.prediction_without(fault.rows, columns) for w, columns in pairs]
     corrected, changed = with_faults_corrected(model.problem, [fault]), np.sort(fault.rows)
     places = np.array(factors_and_rows(corrected, changed))
     parts = {  # all other readings stay as they are
@@ -254,7 +280,7 @@ def _relabelled_log_likelihoods(
         for k in np.unique(places[:, 0]).tolist()
     }
     linearised = linearise(corrected, model.point, parts)
-    jacobian, count = linearised.jacobian, linearised.jacobian.shape[1]
+    jacobian = linearised.jacobian
     rows = np.zeros((len(changed), len(model.units)))
     in_model = model.rows.blocks[0][0].any(axis=0)  # all but parameters that a twin represents
     rows[:, :count] = jacobian * model.units[:count] * in_model
@@ -262,13 +288,11 @@ def _relabelled_log_likelihoods(
     poses = zip(parts.values(), linearised.reading_poses, strict=True)
     blocks = [factor.nuisances(of_factor) for factor, of_factor in poses]
     placed = block_diag(*(b.columns * np.minimum(b.sd, WIDEST_DATUM) for b in blocks))
-    logs = []
-    for likelihood in likelihoods:
-        columns, expected = in_standard_deviations(
-            model, rows, likelihood.scales, likelihood.slab_root
-        )
-        relabelled = likelihood.relabelled(changed, columns, placed, residual - expected)
-        logs.append(relabelled.log_likelihood(np.zeros((len(model.value_at_zero), 1)))[0])
+    whiten, logs = model.nuisance.weighing.subset(changed).whiten, []
+    for w, prediction, which in zip(likelihoods, predictions[key], kept, strict=True):
+        columns, expected = in_standard_deviations(model, rows, w.scales, w.slab_root)
+        whitened = map(whiten, (columns[:, which], placed, residual - expected))
+        logs.append(prediction.relabelled(*whitened))
     return np.array(logs)
 
 
