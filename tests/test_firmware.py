@@ -139,19 +139,23 @@ def test_the_console_of_klipper_gives_its_touches(tmp_path: Path) -> None:
         import_printer(tmp_path / "points.csv")
 
 
+CUT_OFF = {
+    "Bed X: {:.2f} Y: {:.2f} Z: {:.3f}": ("Z: ", "Y: ", ": 30"),
+    "// probe: at {:.3f},{:.3f} bed will contact at z={:.6f}": ("will", ",", "0.000"),
+    "X:{:.2f} Y:{:.2f} Z-probe:{:.3f}": ("probe",),
+}
+
+
 @pytest.mark.parametrize(
-    "touch",
-    [
-        "Bed X: {:.2f} Y: {:.2f} Z: {:.3f}",
-        "// probe: at {:.3f},{:.3f} bed will contact at z={:.6f}",
-    ],
+    ("touch", "end"), [(k, end) for k, ends in CUT_OFF.items() for end in ends]
 )
-def test_a_line_that_was_cut_off_is_named(touch: str, tmp_path: Path) -> None:
+def test_a_line_that_was_cut_off_is_named(touch: str, end: str, tmp_path: Path) -> None:
     lines = [touch.format(*point) for point in (*PLAIN, (30, 30, 5.1))]
-    lines[-1] = lines[-1][: max(lines[-1].rfind("Z"), lines[-1].find("bed will"))]
+    lines[-1] = lines[-1][: lines[-1].index(end) + len(end)]
     found = listed(tmp_path, "\n".join(lines))
     assert points(found).tolist() == [list(p) for p in PLAIN]
-    assert any(f"left out: line {len(lines)}: two of x, y and z" in note for note in found.notes)
+    told = f"left out: line {len(lines)}: not all of x, y and z, as of a line cut off"
+    assert any(told in note and repr(lines[-1].strip()[:40]) in note for note in found.notes)
 
 
 def test_a_log_gives_its_touches_alone(tmp_path: Path) -> None:

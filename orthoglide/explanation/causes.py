@@ -50,8 +50,8 @@ def smallest_count(odds: Array, probability: float) -> int:
 
 
 def pool_variants(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
-    """Pool the jumps, the bumps, and a curve and its line, of each part in the most probable one,
-    as they differ in their moments, places or shapes alone.
+    """Pool the jumps, the bumps, and the curves (a line and short waves too) of each part in the
+    most probable one, as they differ in their moments, places or shapes alone.
 
     Args:
         odds: probabilities of groups in one credible set ``(groups,)``.
@@ -60,10 +60,10 @@ def pool_variants(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, d
     Returns:
         The pooled probabilities, and for each pooled error a clause: its moments or places of 95 %.
     """
-    variants = dict[tuple[str, bool, bool, bool], list[int]]()
+    variants = dict[tuple[str, bool, bool], list[int]]()
     for k in descending(odds):
         if odds[k] > 0 and (error := errors.get(k)):
-            kind = error.jump is not None, error.bump is not None, error.short_waves
+            kind = error.jump is not None, error.bump is not None
             variants.setdefault((error.location_key, *kind), []).append(k)
     pooled, ranges = odds.copy(), dict[int, str]()
     for of_part in variants.values():

@@ -21,7 +21,7 @@ _LABELLED = [
 _CONSOLE = re.compile(  # of Klipper, which changed its words
     rf"\bprobe:? at ({_NUMBER}),({_NUMBER})(?: (?:is|bed will contact at) z=)?", re.I
 )
-_BED_LINE = re.compile(r"\bbed\s+x\s*[:=]", re.IGNORECASE)
+_BED_LINE = re.compile(r"\bbed\s+x\s*[:=]|\bprobe:? at [-+.\d]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # of a tool, not of a touch
 _BED_TEMPERATURE = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.I)  # in a log
 _PROBING = re.compile(r"\bG(?:29|32|33)\b")  # commands after which the plate is touched anew
@@ -92,29 +92,34 @@ class TouchLists:
 def read_touches(lines: Sequence[str], file: str) -> TouchLists:
     """Read the lines of a file in the format that is recognised."""
     touch_lists = TouchLists()
-    lines = [_CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line) for line in lines]
     if any(_HEIGHT_MAP.search(line) for line in lines):
         _read_maps(lines, file, touch_lists)
-    elif any(all(p.search(line) for p in _LABELLED) for line in lines):
+    elif any(len(_labelled_numbers(line)) == len(_LABELLED) for line in lines):
         _read_labelled(lines, touch_lists)
     else:
         _read_table(lines, file, touch_lists)
     return touch_lists
 
 
+def _labelled_numbers(line: str) -> list[str]:
+    """Return the numbers of x, y and z that a line names, those of Klipper's console too."""
+    line = _CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line)
+    return [match[1] for pattern in _LABELLED if (match := pattern.search(line))]
+
+
 def _read_labelled(lines: Sequence[str], touch_lists: TouchLists) -> None:
     """Read lines that name x, y and z; in a log, only those of touches."""
     has_bed_lines = any(map(_BED_LINE.search, lines))
     for number, line in enumerate(lines, start=1):
-        cells = [match[1] for pattern in _LABELLED if (match := pattern.search(line))]
+        cells = _labelled_numbers(line)
         is_touch = _BED_LINE.search(line) if has_bed_lines else not _POSITION.search(line)
         if temperature := _BED_TEMPERATURE.search(line):
             touch_lists.temperature = _number(temperature[1])
         if is_touch and len(cells) == len(_LABELLED):
             x, y, z = map(_number, cells)
             touch_lists.add(Touch(number, x, y, z, touch_lists.temperature))
-        elif is_touch and len(cells) == len(_LABELLED) - 1:
-            touch_lists.leave_out("two of x, y and z, as of a line that was cut off", number, line)
+        elif is_touch and (has_bed_lines or len(cells) == len(_LABELLED) - 1):
+            touch_lists.leave_out("not all of x, y and z, as of a line cut off", number, line)
         elif _PROBING.search(line):
             touch_lists.starts_list = True
 
