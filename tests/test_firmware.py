@@ -260,7 +260,7 @@ def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
     assert any("line 10: a copy of the list of line 4" in n for n in twice.notes)
     short = listed(tmp_path, head + sizes + rows.replace("  0.100,", ""))
     assert len(short.campaigns[0]) == 4
-    assert any("line 4: 2 heights where 3 belong" in n for n in short.notes)
+    assert any("line 4: the number of heights is 2, not 3" in n for n in short.notes)
     cut = listed(tmp_path, head + sizes + rows.partition("  0.400")[0])
     assert any("2 rows of 3; more are missing below" in n for n in cut.notes)
 

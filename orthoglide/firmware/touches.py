@@ -174,7 +174,8 @@ def _read_heights(
     for (number, line), y in zip(rows, along, strict=False):
         cells = _cells(line)
         if len(cells) != len(across):
-            touch_lists.leave_out(f"{len(cells)} heights where {len(across)} belong", number, line)
+            reason = f"the number of heights is {len(cells)}, not {len(across)}"
+            touch_lists.leave_out(reason, number, line)
             continue
         for x, cell in zip(across, cells, strict=True):
             if math.hypot(x, y) <= radius + _EQUAL_PLACES:
