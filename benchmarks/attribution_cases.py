@@ -6,7 +6,7 @@ and its own key alone, so that any one of them can be made again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 from zlib import crc32
@@ -14,6 +14,7 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import independent
 from benchmarks.independent import FAMILIES, parameters, structured
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, ON_DIAL, TOLERANCE, Rig, parameter_names
@@ -26,6 +27,9 @@ BACKGROUND = 0.015
 Chosen by what it shows and not by what the tool says of it: past the base, the rms stays below half
 a sigma of the averaged readings in 95 of 100 machines, on the protocol that shows it most.
 """
+
+PLAIN = [f for f in FAMILIES if f not in ("thermal_growth", "drive_compliance")]
+"""Effects that show at one temperature and without a load."""
 
 PROTOCOLS = ("standard", "sweep", "two-gauges")
 RMS = (1.0, 2.0, 4.0, 8.0, 20.0)
@@ -135,17 +139,11 @@ def _grid(kind: str, number: int) -> list[tuple[str, str, float]]:
         return [(f, p, 0.0) for f in FAULTS for p in PROTOCOLS]
     count, sizes = (3, (10.0, 30.0)) if kind == "three" else (2, (6.0, 15.0))
     rng = np.random.default_rng([crc32(kind.encode()), number])
-    plain = [f for f in FAMILIES if not _conditions(f)]
     return [
-        ("+".join(rng.choice(plain, count, replace=False)), protocol, rms)
+        ("+".join(rng.choice(PLAIN, count, replace=False)), protocol, rms)
         for protocol in PROTOCOLS[1:]
         for rms in sizes
     ]
-
-
-def _conditions(family: str) -> bool:
-    """Whether an effect needs more than a plain protocol."""
-    return family in ("thermal_growth", "drive_compliance")
 
 
 def rows_of(case: Case) -> list[rc.Row]:
@@ -222,9 +220,10 @@ def _of_rig(field: str, made: Callable[[float], Any]) -> Callable[[Rig, float], 
 
 
 def effect(
-    family: str, tolerance: float, setups: list[str], rng: np.random.Generator, shaped: bool
+    family: str, rng: np.random.Generator, setups: Sequence[str] = (), shaped: bool = False
 ) -> Cause:
-    """A member of a family, either sign, at one tolerance."""
+    """A member of a family, either sign, at one tolerance of the rig's machine file."""
+    tolerance = independent.TOLERANCE[family]
     sign = float(rng.choice([-1.0, 1.0])) * tolerance
     if shaped:
         members = structured(family)

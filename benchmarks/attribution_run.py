@@ -6,7 +6,6 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from benchmarks import attribution_cases as ac, independent, public
 from benchmarks.attribution_cases import Array, Case, Cause
 from benchmarks.independent import Sheet, Visible, is_cause, metric
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
@@ -48,8 +47,7 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     """Simulate a case."""
     rng = case.rng(seed)
     rows = ac.rows_of(case)
-    setups = list(dict.fromkeys(row["setup"] for row in rows))
-    bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
+    setups, bare = bare_rig(rows, rng, background)
     causes: list[tuple[Cause, float]] = []
     rig = bare
     visible = None if case.kind == "fault" else Visible(Sheet(rows), bare)
@@ -72,6 +70,14 @@ def draw(case: Case, seed: int, background: float = ac.BACKGROUND) -> Drawn:
     return Drawn(bare, rig, tuple(causes), measured, touched, points, visible)
 
 
+def bare_rig(
+    rows: Sequence[rc.Row], rng: np.random.Generator, background: float
+) -> tuple[list[str], Rig]:
+    """Return the setups of a sheet, and a machine with small errors of everything alone."""
+    setups = list(dict.fromkeys(row["setup"] for row in rows))
+    return setups, Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
+
+
 def points_of(rig: Rig, rng: np.random.Generator, time: float = 0.0) -> og.Readings:
     """What a perfect tracker says of a machine at one second."""
     return public.tcp_points(rc.tcp_points(rig, POINTS, rng, time=time))
@@ -85,10 +91,7 @@ def _causes(
     if case.kind == "outside":
         return [ac.outside(case.what, rows, rng)]
     shaped = case.kind == "structured"
-    return [
-        ac.effect(family, independent.TOLERANCE[family], setups, rng, shaped)
-        for family in case.what.split("+")
-    ]
+    return [ac.effect(family, rng, setups, shaped) for family in case.what.split("+")]
 
 
 def size_of(cause: Cause, rms: float, bare: Rig, rows: list[rc.Row], visible: Visible) -> float:
@@ -149,18 +152,6 @@ def run(
     except Exception:  # a crash is a result too: it is counted and shown
         record |= {"word": "crash", "message": traceback.format_exc(limit=-4)}
     return record | {"seconds": round(time.perf_counter() - began, 2)}
-
-
-def show_table(
-    says: str,
-    cases: Callable[[int], Sequence[Case]],
-    draw: Callable[[Case, int, float], Drawn],
-    table: Callable[[Sequence[Record]], Table],
-) -> None:
-    """Run the cases that a command line asks for, and print their table."""
-    options = arguments(says, campaigns=60).parse_args()
-    one = partial(run, seed=options.seed, draw=draw)
-    show([table(records(cases(options.campaigns), one, options))])
 
 
 def _said(result: Record) -> Record:

@@ -10,24 +10,23 @@ Sizes, small errors of everything else and readings are those of `attribution.py
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac, independent
+from benchmarks import attribution_cases as ac
 from benchmarks.attribution_asked import SEEN, fault_found, holds, is_shape_of, share, well, worse
 from benchmarks.attribution_cases import Case
-from benchmarks.attribution_run import Drawn, points_of, show_table, size_of
+from benchmarks.attribution_run import Drawn, bare_rig, points_of, run, size_of
 from benchmarks.independent import Sheet, Visible
-from benchmarks.runs import Record, Table
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
-from tests.rig import Rig
 
 BESIDE = ("effect", "outside", "bump", "fault")
 """What stands beside an error from outside the catalogue."""
 
 RMS = (6.0, 12.0)  # of what each shows past the base, in sigmas of averaged readings
 _BUMP = 0.1  # millimetres
-_EFFECTS = [f for f in independent.FAMILIES if f not in ("thermal_growth", "drive_compliance")]
 
 
 def cases(campaigns: int) -> list[Case]:
@@ -43,16 +42,15 @@ def draw(case: Case, seed: int, background: float) -> Drawn:
     """Simulate a case."""
     rng = case.rng(seed)
     rows = rc.protocol_rows(case.protocol)
-    setups = list(dict.fromkeys(row["setup"] for row in rows))
-    bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
+    setups, bare = bare_rig(rows, rng, background)
     visible = Visible(Sheet(rows), bare)
     kinds = [str(kind) for kind in rng.choice(ac.OUTSIDE, 2, replace=False)]
     causes = [ac.outside(kinds[0], rows, rng)]
     if case.what == "outside":
         causes.append(ac.outside(kinds[1], rows, rng))
     elif case.what == "effect":
-        family = str(rng.choice(_EFFECTS))
-        causes.append(ac.effect(family, independent.TOLERANCE[family], setups, rng, shaped=False))
+        family = str(rng.choice(ac.PLAIN))
+        causes.append(ac.effect(family, rng, setups))
     sized = [(c, size_of(c, float(rng.choice(RMS)), bare, rows, visible)) for c in causes]
     if case.what == "bump":
         where = str(rng.choice(["rail.b", "rail.c", "drive"]))
@@ -93,7 +91,7 @@ def _strays(record: Record) -> bool:
     )
 
 
-def table(found: Sequence[Record]) -> Table:
+def tables(found: Sequence[Record]) -> list[Table]:
     """What was told, by what stands beside."""
     rows: list[Sequence[str]] = [
         ("beside", "campaigns", "errors seen that a set holds", "something else is named",
@@ -114,8 +112,8 @@ def table(found: Sequence[Record]) -> Table:
         ))  # fmt: skip
     failed = len(found) - len(well(found))
     note = f"*Seen*: known, an error lowers chi2 by 25 or more. TCP errors in mm. {failed} refused."
-    return Table("Errors outside the catalogue beside something else", note, rows)
+    return [Table("Errors outside the catalogue beside something else", note, rows)]
 
 
 if __name__ == "__main__":
-    show_table(__doc__, cases, draw, table)
+    run_all(__doc__, cases, partial(run, draw=draw), tables, campaigns=60)

@@ -17,10 +17,9 @@ the cache.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from typing import Any
 from zlib import crc32
 
@@ -29,8 +28,8 @@ import numpy as np
 import orthoglide as og
 from benchmarks import attribution_cases as ac, public, stands_out, whole_machines
 from benchmarks.attribution_asked import share
-from benchmarks.independent import TOLERANCE as EXPECTED, is_cause, tolerance
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.independent import is_cause, tolerance
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
 from tests.rig import LEGS, TOLERANCE, Rig, parameter_names
 
@@ -147,32 +146,30 @@ def measure(case: Case, rng: np.random.Generator) -> list[rc.Row]:
     return rc.simulate(rig, plan, rng, noise=NOISE, background=BACKGROUND, temperature=warm)
 
 
-def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> tuple[rc.Fault, str]:
-    """Put the fault in; the kind as the package names it."""
+def spoil(case: Case, rows: list[rc.Row], rng: np.random.Generator) -> rc.Fault:
+    """Put the fault of a case in."""
     names = list(dict.fromkeys(r["setup"] for r in rows))
-    own = names[int(rng.integers(len(names)))]
+    own, size = names[int(rng.integers(len(names)))], case.size
     after = float(rng.uniform(0.35, 0.65))
-    sign = float(rng.choice([-1, 1]))
-    if case.name == "outlier":
-        return rc.outlier(rows, int(rng.integers(len(rows))), sign * case.size), own
-    if case.name == "knocked_stand":
-        return rc.knocked_stand(rows, own, sign * case.size, after), own
-    if case.name == "command":
-        return _mistyped(rows, sign * case.size, rng), own
-    if case.name == "sign":
-        return rc.swapped_sign(rows, own), own
-    if case.name == "unit":
-        return rc.wrong_unit(rows, own, case.size), own
-    if case.name == "label":
-        return rc.wrong_label(rows, own, "leg" if case.size else "direction"), own
-    if case.name == "turns":
-        return rc.whole_turns(rows, own, case.size), own
-    if case.name == "stuck":
-        return rc.stuck_dial(rows, own, after), own
-    leg = own[0]
-    same = [n for n in names if n != own and n[0] == leg and n[2:] == own[2:]]
-    apart = [n for n in names if n[0] != leg]
-    return rc.swapped_labels(rows, own, str(rng.choice(apart if case.size else same))), own
+    signed = float(rng.choice([-1, 1])) * size
+
+    def relabelled() -> rc.Fault:
+        same = [n for n in names if n != own and n[0] == own[0] and n[2:] == own[2:]]
+        apart = [n for n in names if n[0] != own[0]]
+        return rc.swapped_labels(rows, own, str(rng.choice(apart if size else same)))
+
+    faults: dict[str, Callable[[], rc.Fault]] = {
+        "outlier": lambda: rc.outlier(rows, int(rng.integers(len(rows))), signed),
+        "knocked_stand": lambda: rc.knocked_stand(rows, own, signed, after),
+        "command": lambda: _mistyped(rows, signed, rng),
+        "sign": lambda: rc.swapped_sign(rows, own),
+        "unit": lambda: rc.wrong_unit(rows, own, size),
+        "label": lambda: rc.wrong_label(rows, own, "leg" if size else "direction"),
+        "turns": lambda: rc.whole_turns(rows, own, size),
+        "stuck": lambda: rc.stuck_dial(rows, own, after),
+        "exchanged_labels": relabelled,
+    }
+    return faults[case.name]()
 
 
 def _mistyped(rows: list[rc.Row], size: float, rng: np.random.Generator) -> rc.Fault:
@@ -188,67 +185,62 @@ def _mistyped(rows: list[rc.Row], size: float, rng: np.random.Generator) -> rc.F
 
 def judge(case: Case, seed: int) -> Record:
     """Return what became of one campaign, ready for JSON."""
-    rng = np.random.default_rng([seed, hash_of(case), case.number])
+    drawn = crc32(f"{case.what}:{case.name}:{case.size:g}".encode())
+    rng = np.random.default_rng([seed, drawn, case.number])
     record: Record = {"key": case.key, "seed": seed, "what": case.what, "name": case.name,
                       "size": case.size}  # fmt: skip
-    if case.what == "worn":
-        return record | judge_worn(case, rng)
-    rows = measure(case, rng)
-    spoilt, touched = rows, list[int]()
-    if case.what == "fault":
-        spoilt, touched = spoil(case, rows, rng)[0]
-    record["visible"] = bool(touched) and _visible(rows, spoilt)
     try:
-        chosen = machine(case.declared)
-        campaign = public.campaign(spoilt, name="campaign", machine_file=chosen.spec)
-        began = time.perf_counter()
-        result = public.verdict_of(og.close_loop([campaign], chosen))
+        for found in (_worn if case.what == "worn" else _usual)(case, rng):
+            record |= found
     except og.OrthoglideError as error:
-        return record | {"refused": public.error_text(error)[:120]}
-    found = result["blunders"]
+        record["refused"] = public.error_text(error)[:120]
+    return record
+
+
+def _closed(rows: list[rc.Row], chosen: og.Machine) -> public.Result:
+    campaign = public.campaign(rows, name="campaign", machine_file=chosen.spec)
+    return public.verdict_of(og.close_loop([campaign], chosen))
+
+
+def _usual(case: Case, rng: np.random.Generator) -> Iterator[Record]:
+    """Yield whether a fault can be seen, and then what is reported of it."""
+    rows = measure(case, rng)
+    spoilt, touched = spoil(case, rows, rng) if case.what == "fault" else (rows, list[int]())
+    yield {"visible": bool(touched) and _visible(rows, spoilt)}
+    result = _closed(spoilt, machine(case.declared))
     setups = {spoilt[k]["setup"] for k in touched}
-    right = [b for b in found if b["kind"] == case.name and set(b["setups"]) == setups]
-    return record | {
+    right = [b for b in result["blunders"]
+             if b["kind"] == case.name and set(b["setups"]) == setups]  # fmt: skip
+    yield {
         "word": result["verdict"],
         "found": bool(right),
         "exact": any(len(set(b["rows"]) ^ set(touched)) <= 1 for b in right),
         # Rows of one fault that come back as two kinds are no false alarm about sound rows.
-        "false": sum(not _about(b, touched) for b in found),
-        "said": "; ".join(f"{b['kind']} {'+'.join(b['setups'])} {len(b['rows'])}" for b in found),
-        "seconds": round(time.perf_counter() - began, 2),
+        "false": sum(not _about(b, touched) for b in result["blunders"]),
     }
 
 
-def judge_worn(case: Case, rng: np.random.Generator) -> Record:
-    """Return what is reported of a wrong command on a worn machine with one clear cause."""
+def _worn(case: Case, rng: np.random.Generator) -> Iterator[Record]:
+    """Yield what is reported of a wrong command on a worn machine with one clear cause."""
     share = WORN[case.name]
     rows = rc.protocol_rows(WORN_SHEETS[case.number % len(WORN_SHEETS)])
-    while True:
-        cause = ac.effect(
-            family := str(rng.choice(WORN_EFFECTS)), EXPECTED[family], [], rng, shaped=False
-        )
+    clear = 0.0
+    while clear < WORN_CLEAR:
+        family = str(rng.choice(WORN_EFFECTS))
+        cause = ac.effect(family, rng)
         size = float(rng.uniform(*WORN_TOLERANCES))
         rig = whole_machines.rig_of(share, rng)
         rig = rig.with_errors({n: size * v for n, v in cause.errors.items()})
         measured = rc.simulate(rig, rows, rng)
         shown = {n: size * v / tolerance(n) for n, v in cause.errors.items()}
-        beside = stands_out.beside(measured, share)
-        if (clear := stands_out.seen(beside, shown, share)) >= WORN_CLEAR:
-            break
+        clear = stands_out.seen(stands_out.beside(measured, share), shown, share)
     spoilt, touched = _mistyped(measured, case.size * float(rng.choice([-1, 1])), rng)
-    first = touched[0]
-    apart = [measured[first][c] - spoilt[first][c] for c in rc.RHO]
+    apart = [measured[touched[0]][c] - spoilt[touched[0]][c] for c in rc.RHO]
     drive = int(np.argmax(np.abs(apart)))
-    record: Record = {"cause": cause.name, "sigmas": clear, "drive": LEGS[drive],
-                      "apart": apart[drive]}  # fmt: skip
-    began = time.perf_counter()
-    try:
-        result = public.verdict_of(og.close_loop([public.campaign(spoilt)], public.machine()))
-    except og.OrthoglideError as error:
-        return record | {"refused": public.error_text(error)[:120]}
+    result = _closed(spoilt, public.machine())
     stated = list(public.command_faults(result))
     here = [s for d, s in stated[:1] if d == LEGS[drive]]
-    return record | {
+    yield {
         "word": result["verdict"],
         "stated": stated,
         "right_drive": bool(here),
@@ -257,11 +249,6 @@ def judge_worn(case: Case, rng: np.random.Generator) -> Record:
                           if b["kind"] == "command"),
         "cause_named": any(is_cause(e["name"], e["parameters"], cause.name, family)
                            for f in result["effects"] for e in f["set"]),
-        "said": "; ".join(f"{b['kind']} {'+'.join(b['setups'])} {len(b['rows'])}"
-                          for b in result["blunders"]),
-        "effects": [f["name"] for f in result["effects"]],
-        "located": [f["places"][0] for f in public.said(result)["located"]],
-        "seconds": round(time.perf_counter() - began, 2),
     }  # fmt: skip
 
 
@@ -280,10 +267,6 @@ def _visible(rows: list[rc.Row], spoilt: list[rc.Row]) -> bool:
     for a, b, moved in zip(rows, spoilt, shown, strict=True):
         change.setdefault(a["setup"], []).append(a["reading_mm"] - b["reading_mm"] - moved)
     return bool(max(np.ptp(c) for c in change.values()) > 0.05)
-
-
-def hash_of(case: Case) -> int:
-    return crc32(f"{case.what}:{case.name}:{case.size:g}".encode())
 
 
 def worn(campaigns: int) -> list[Case]:
@@ -366,20 +349,6 @@ def _of_worn(outcomes: Sequence[Record]) -> Table:
     return Table("Wrong command on a worn machine", note, rows)
 
 
-def main() -> None:
-    parser = arguments(__doc__, campaigns=800, worn=24)
-    parser.add_argument("--only", default="", help="nothing, effect, outside, fault or worn")
-    parser.add_argument("--list", action="store_true", help="every campaign that went wrong")
-    options = parser.parse_args()
-    wanted = [c for c in (*cases(options.campaigns), *worn(options.worn))
-              if options.only in (c.what, "")]  # fmt: skip
-    outcomes = records(wanted, partial(judge, seed=options.seed), options)
-    if options.list:
-        for o in outcomes:
-            if o.get("false") or (o.get("visible") and not o.get("found")):
-                print(o["key"], "->", o.get("said") or o.get("refused"))
-    show(tables(outcomes))
-
-
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, lambda usual, worn_: [*cases(usual), *worn(worn_)], judge, tables,
+            campaigns=800, worn=24)  # fmt: skip

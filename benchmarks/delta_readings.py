@@ -131,37 +131,31 @@ def nuisances(kind: str, value: Array) -> tuple[Array, Array]:
 def _rows(
     kind: str, rig: DeltaRig, rng: np.random.Generator | None, machine: og.Machine
 ) -> list[dict[str, str]]:
-    noise = rng if rng is not None else np.random.default_rng(0)
-    much = 0.0 if rng is None else 1.0
-    places, others = _spots(kind)
+    """Return what an instrument reads, noise and nuisances with it if there is a generator."""
+    ends = [p for p in _spots(kind) if p is not None]
+    commands = [machine.inverse(p) for p in ends]
+    poses = [[rig.pose(s, p) for s, p in zip(*each, strict=True)]
+             for each in zip(commands, ends, strict=True)]  # fmt: skip
+    value = exact(kind, rig, poses)
     kind = "plate" if kind == "seven" else kind
-    command = machine.inverse(places)
-    poses = [rig.pose(s, p) for s, p in zip(command, places, strict=True)]
-    second = None if others is None else machine.inverse(others)
-    tilt, shrunk = much * noise.normal(0, 1e-3, 3), 1 + much * noise.normal(0, 2e-3)
+    tool = np.array([p for p, _ in poses[0]])
+    if rng is not None:
+        tilt, shrunk = rng.normal(0, 1e-3, 3), 1 + rng.normal(0, 2e-3)
+        if kind == "distance":
+            value = shrunk * value
+        else:
+            along = {"plate": -tool[:, :2] @ tilt[:2], "incline": np.tile(tilt[:2], len(tool)),
+                     "tcp": np.cross(tilt, tool).ravel()}  # fmt: skip
+            value = value + along[kind]
+        value = value + NOISE[kind] * rng.standard_normal(len(value))
+    axes = len(value) // len(tool)
+    unit = "reading_mrad" if kind == "incline" else "reading_mm"
     rows = []
-    for k, (p, turn) in enumerate(poses):
-        axes: tuple[int, ...] = {"incline": (0, 1), "tcp": (0, 1, 2)}.get(kind, (0,))
-        for axis in axes:
-            if kind == "plate":
-                value = p[2] - rig.plate(p[0], p[1], _REACH) - tilt[:2] @ p[:2]
-            elif kind == "distance":
-                assert second is not None
-                assert others is not None
-                value = shrunk * np.linalg.norm(rig.pose(second[k], others[k])[0] - p)
-            elif kind == "incline":
-                value = turn[axis] + tilt[axis]
-            else:
-                value = p[axis] + np.cross(tilt, p)[axis]
-            value += much * NOISE[kind] * noise.standard_normal()
-            row = {"kind": kind, "setup": {"plate": "bed"}.get(kind, kind)}
-            row |= {"direction": "xyz"[axis]} if len(axes) > 1 else {}
-            for legs, at in (("abc", command[k]), (("a2", "b2", "c2"), second)):
-                if at is not None:
-                    at = at if legs == "abc" else at[k]
-                    row |= {
-                        f"travel_{n}_mm": f"{v * 1e3:.9f}" for n, v in zip(legs, at, strict=True)
-                    }
-            unit = "reading_mrad" if kind == "incline" else "reading_mm"
-            rows.append(row | {unit: f"{value * 1e3:.9f}"})
+    for k, v in enumerate(value):
+        row = {"kind": kind, "setup": {"plate": "bed"}.get(kind, kind)}
+        row |= {"direction": "xyz"[k % axes]} if axes > 1 else {}
+        for legs, at in zip((("a", "b", "c"), ("a2", "b2", "c2")), commands, strict=False):
+            row |= {f"travel_{n}_mm": f"{s * 1e3:.9f}"
+                    for n, s in zip(legs, at[k // axes], strict=True)}  # fmt: skip
+        rows.append(row | {unit: f"{v * 1e3:.9f}"})
     return rows

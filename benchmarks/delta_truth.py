@@ -16,7 +16,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, partial
 from zlib import crc32
 
@@ -24,7 +24,7 @@ import numpy as np
 
 import orthoglide as og
 from benchmarks import public
-from benchmarks.attribution_cases import Cause
+from benchmarks.attribution_cases import Case, Cause
 from benchmarks.delta_readings import INSTRUMENTS, SEEN, Array, measured
 from benchmarks.delta_table import UNSEEN, tables
 from benchmarks.independent import family_of, metric
@@ -82,24 +82,10 @@ FEW = """ A few campaigns of each kind are no rate yet;
 `--campaigns 300` takes some minutes."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """One campaign."""
-
-    kind: str
-    what: str
-    instrument: str
-    rms: float
-    round: int
-
-    @property
-    def key(self) -> str:
-        """Unique in a table."""
-        return f"{self.kind}:{self.what}:{self.instrument}:{self.rms:g}:{self.round}"
-
-
 def cases(campaigns: int) -> list[Case]:
-    """Cases of a table of about that many; a smaller one is part of a larger."""
+    """Cases of a table of about that many, the instrument of each as its protocol; a smaller table
+    is part of a larger one.
+    """
     found: list[Case] = []
     total = sum(SHARES.values())
     for kind, part in SHARES.items():
@@ -111,7 +97,7 @@ def cases(campaigns: int) -> list[Case]:
             grid = [Case(kind, w, i, s, number) for w in what for i in INSTRUMENTS for s in sizes]
             # Every instrument in turn, whatever the number.
             grid.sort(key=lambda c: crc32(c.key.encode()))
-            turns = [[c for c in grid if c.instrument == i] for i in INSTRUMENTS]
+            turns = [[c for c in grid if c.protocol == i] for i in INSTRUMENTS]
             batch += [c for together in zip(*turns, strict=True) for c in together]
             number += 1
         found += batch[:count]
@@ -206,16 +192,16 @@ def _strange(kind: str, rng: np.random.Generator) -> Cause:
 
 def run(case: Case, seed: int) -> Record:
     """Everything the tables need of one campaign, ready for JSON."""
-    began, rng = time.perf_counter(), np.random.default_rng([seed, crc32(case.key.encode())])
+    began, rng = time.perf_counter(), case.rng(seed)
     record: Record = {"key": case.key, "seed": seed, "kind": case.kind, "what": case.what,
-                      "instrument": case.instrument, "rms": case.rms, "truth": []}  # fmt: skip
+                      "instrument": case.protocol, "rms": case.rms, "truth": []}  # fmt: skip
     try:
         bare = _drawn(rng, 0.3 if case.kind == "whole" else BACKGROUND)
-        rig, given = bare, partial(measured, machine=machine(), instrument=case.instrument)
+        rig, given = bare, partial(measured, machine=machine(), instrument=case.protocol)
         if case.kind in ("effect", "outside"):
             cause = _cause(case, rng)
             given(bare, rng)  # sizes were once taken from readings: the draws stay the same
-            seen = visible_by(INSTRUMENTS[case.instrument], BACKGROUND)
+            seen = visible_by(INSTRUMENTS[case.protocol], BACKGROUND)
             one = _added(given, cause.added_to(bare, 1.0), bare)
             small = _rms(seen.beside.past(one), seen)
             size = min(case.rms / max(small, 1e-12), cause.largest)

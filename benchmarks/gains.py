@@ -14,15 +14,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 import orthoglide as og
-from benchmarks import attribution_cases as ac, independent, public, whole_machines
+from benchmarks import attribution_cases as ac, public, whole_machines
 from benchmarks.independent import BASE
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -53,7 +52,7 @@ def rig_of(case: Case, seed: int) -> tuple[Rig, np.random.Generator]:
     rng = np.random.default_rng([seed, number])
     rig = whole_machines.rig_of(SHARES[number // 2 % len(SHARES)], rng)
     for family in rng.choice(EFFECTS, count, replace=False).tolist():
-        cause = ac.effect(family, independent.TOLERANCE[family], [], rng, False)
+        cause = ac.effect(family, rng)
         rig = cause.added_to(rig, float(rng.uniform(*SIZES)))
     return rig, rng
 
@@ -160,11 +159,10 @@ LEAST = 5e-4
 """Millimetres: gains that differ by less, a tenth of a reading's noise, are the same."""
 
 
-def main() -> None:
-    options = arguments(__doc__, machines=40).parse_args()
-    every = [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(options.machines)]
-    show(tables(records(every, partial(run, seed=options.seed), options)))
+def cases(machines: int) -> list[Case]:
+    """Return so many machines; sheets alternate, then shares, then counts of effects."""
+    return [(COUNTS[k // 6 % len(COUNTS)], PROTOCOLS[k % 2], k) for k in range(machines)]
 
 
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, cases, run, tables, machines=40)

@@ -13,15 +13,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 import orthoglide as og
 from benchmarks import attribution_cases as ac
-from benchmarks.independent import TOLERANCE
 from benchmarks.public import asked_by_measure, campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 from tests.rig_operator import Operator
@@ -44,7 +42,7 @@ def drawn(number: int, seed: int) -> tuple[str, float, Rig]:
     if number % 3 == 0:
         return "", 0.0, rig
     family = FAMILIES[int(rng.integers(len(FAMILIES)))]
-    cause = ac.effect(family, TOLERANCE[family], [], rng, shaped=False)
+    cause = ac.effect(family, rng)
     size = float(np.exp(rng.uniform(*np.log(SIZES))))
     return cause.name, size, cause.added_to(rig, size)
 
@@ -91,7 +89,7 @@ def judged(verdict: og.Verdict, true: str) -> Record:
     return {"named": any(right), "alone": alone, "wrong": not all(right)}
 
 
-def table(found: Sequence[Record]) -> Table:
+def tables(found: Sequence[Record]) -> list[Table]:
     """Return both ways side by side."""
 
     def cells(key: str) -> list[list[int]]:
@@ -101,7 +99,7 @@ def table(found: Sequence[Record]) -> Table:
         parts = [[r[way][key] for r in found if sound is not bool(r["true"])] for way in WAYS]
         return [f"{sum(part)}/{len(part)}" for part in parts]
 
-    return Table("", "", [
+    return [Table("", "", [
         ["", *WAYS],
         ["readings, mean", *(f"{np.mean(t):.0f}" for t in cells("readings"))],
         ["readings, least and most", *(f"{min(t)} to {max(t)}" for t in cells("readings"))],
@@ -110,14 +108,8 @@ def table(found: Sequence[Record]) -> Table:
         ["effects: named, alone or with rivals", *shares("named", sound=False)],
         ["effects: named without rivals", *shares("alone", sound=False)],
         ["effects: a cause named that is not there", *shares("wrong", sound=False)],
-    ])  # fmt: skip
-
-
-def main() -> None:
-    options = arguments(__doc__, campaigns=60).parse_args()
-    every = [(k,) for k in range(options.campaigns)]
-    show([table(records(every, partial(run, seed=options.seed), options))])
+    ])]  # fmt: skip
 
 
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, lambda n: ((k,) for k in range(n)), run, tables, campaigns=60)

@@ -9,17 +9,17 @@ three to six tolerances besides. One dial has half to five times the noise that 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from benchmarks import attribution_cases as ac, independent
+from benchmarks import attribution_cases as ac
 from benchmarks.attribution_asked import SEEN, named, share, well
 from benchmarks.attribution_cases import Case
-from benchmarks.attribution_run import Drawn, points_of, show_table
+from benchmarks.attribution_run import Drawn, bare_rig, points_of, run
 from benchmarks.independent import Sheet, Visible
-from benchmarks.runs import Record, Table
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
-from tests.rig import Rig
 
 RATIOS = (0.5, 1.0, 2.0, 3.0, 5.0)
 SHEETS = {"standard": 3, "sweep": 1, "two-gauges": 1}
@@ -27,7 +27,6 @@ SHEETS = {"standard": 3, "sweep": 1, "two-gauges": 1}
 
 TOLERANCES = (3.0, 6.0)  # of an effect
 _NOISE = 5e-6  # metres, as the machine file says
-_EFFECTS = [f for f in independent.FAMILIES if f not in ("thermal_growth", "drive_compliance")]
 
 
 def cases(campaigns: int) -> list[Case]:
@@ -43,12 +42,11 @@ def cases(campaigns: int) -> list[Case]:
 def draw(case: Case, seed: int, background: float) -> Drawn:
     """Simulate a case; the rows touched are those of the dial with other noise."""
     rng, rows = case.rng(seed), rc.protocol_rows(case.protocol, repeats=SHEETS[case.protocol])
-    setups = list(dict.fromkeys(row["setup"] for row in rows))
-    bare = Rig(errors=ac.background(rng, setups, background) | ac.base_errors(rng))
+    setups, bare = bare_rig(rows, rng, background)
     causes, rig = [], bare
     if case.what == "effect":
-        family = str(rng.choice(_EFFECTS))
-        cause = ac.effect(family, independent.TOLERANCE[family], setups, rng, shaped=False)
+        family = str(rng.choice(ac.PLAIN))
+        cause = ac.effect(family, rng, setups)
         causes.append((cause, float(rng.uniform(*TOLERANCES))))
         rig = cause.added_to(bare, causes[0][1])
     chosen = str(rng.choice(setups))
@@ -76,7 +74,7 @@ def _other_fault(record: Record) -> bool:
     return len(record["blunders"]) > len(found) or (bool(found) and not _noise_found(record))
 
 
-def table(found: Sequence[Record]) -> Table:
+def tables(found: Sequence[Record]) -> list[Table]:
     """What is said, by the ratio of the dial's noise to that declared."""
     rows: list[Sequence[str]] = [
         ("noise", "campaigns", "reported noisy", "another data fault", "sound: something named",
@@ -96,8 +94,8 @@ def table(found: Sequence[Record]) -> Table:
             share(values, bool), f"{np.mean([r['tcp']['inside'] for r in chosen]):.3f}",
         ))  # fmt: skip
     note = f"*Seen*: known, the effect lowers chi2 by 25. {len(found) - len(well(found))} refused."
-    return Table("One dial with other noise than declared", note, rows)
+    return [Table("One dial with other noise than declared", note, rows)]
 
 
 if __name__ == "__main__":
-    show_table(__doc__, cases, draw, table)
+    run_all(__doc__, cases, partial(run, draw=draw), tables, campaigns=60)

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -27,6 +28,27 @@ def arguments(says: str, **counts: int) -> argparse.ArgumentParser:
     parser.add_argument("--cache", type=Path, help="JSON lines; a run goes on from here")
     parser.add_argument("--finished", action="store_true", help="the tables of the cache as it is")
     return parser
+
+
+def run_all(
+    says: str,
+    cases: Callable[..., Iterable[Any]],
+    run: Callable[..., Record],
+    tables: Callable[[Sequence[Record]], Iterable[Table]],
+    **counts: int,
+) -> None:
+    """Run the cases that a command line asks for, and print their tables.
+
+    Args:
+        says: the benchmark's docstring.
+        cases: from the counts, in their order.
+        run: one case, given the ``seed``.
+        tables: of the records.
+        counts: how many of what, with what is usual.
+    """
+    options = arguments(says, **counts).parse_args()
+    wanted = [*cases(*(getattr(options, name) for name in counts))]
+    show(tables(records(wanted, partial(run, seed=options.seed), options)))
 
 
 def key_of(case: Any) -> str:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from benchmarks import attribution_cases as ac, public
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import tolerance
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -142,15 +141,10 @@ def _row(rows: Sequence[Record], route: str) -> list[str]:
     ]
 
 
-def main() -> None:
-    options = arguments(__doc__, machines=60).parse_args()
-    every = [
-        (count, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k)
-        for k in range(options.machines)
-        for count in COUNTS
-    ]
-    show(tables(records(every, partial(run, seed=options.seed), options)))
+def cases(machines: int) -> list[tuple[int, str, int]]:
+    """Return so many machines of each count of changes; sheets alternate."""
+    return [(n, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(machines) for n in COUNTS]
 
 
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, cases, run, tables, machines=60)

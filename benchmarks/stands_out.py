@@ -12,7 +12,6 @@ from the cache.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -21,13 +20,15 @@ from benchmarks import attribution_cases as ac, independent, public, whole_machi
 from benchmarks.attribution_asked import share as share_of
 from benchmarks.independent import Sheet, Visible, is_cause, parameters, structured
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table, run_all
 from benchmarks.whole_machines import FAMILIES, SHARES, rig_of
 from tests import rig_campaigns as rc
 from tests.rig import Rig
 
 TIMES = (5, 10)
 """The cause over the background."""
+
+Case = tuple[float, str, int, int]
 
 CLEAR = 5.0
 """Sigmas by which a cause should be named: what it shows, past noise and background."""
@@ -36,14 +37,14 @@ CREDIBLE, NAMED, MOST = 0.95, 0.9, 20
 """Of the documented claims: probability of a set, from which it is named, and its largest size."""
 
 
-def run(case: tuple[float, str, int, int], seed: int) -> Record:
+def run(case: Case, seed: int) -> Record:
     """One machine: what is larger than the rest, and what is said of it."""
     share, protocol, number, times = case
     rng = np.random.default_rng([seed, round(1000 * share), number, times])
     rows = rc.protocol_rows(protocol)
     family = str(rng.choice(FAMILIES))
     setups = list(dict.fromkeys(row["setup"] for row in rows))
-    cause = ac.effect(family, independent.TOLERANCE[family], setups, rng, shaped=False)
+    cause = ac.effect(family, rng, setups)
     size = times * share
     rig = rig_of(share, rng).with_errors({n: size * v for n, v in cause.errors.items()})
     record: Record = {"case": list(case), "seed": seed, "cause": cause.name}
@@ -170,16 +171,15 @@ def _row(rows: Sequence[Record]) -> list[str]:
     ]
 
 
-def main() -> None:
-    options = arguments(__doc__, machines=60).parse_args()
-    every = [
+def cases(machines: int) -> list[Case]:
+    """Return so many machines of each share and each size of the cause; sheets alternate."""
+    return [
         (share, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k, times)
-        for k in range(options.machines)
+        for k in range(machines)
         for share in SHARES[1:]
         for times in TIMES
     ]
-    show(tables(records(every, partial(run, seed=options.seed), options)))
 
 
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, cases, run, tables, machines=60)

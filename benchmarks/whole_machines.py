@@ -13,7 +13,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from benchmarks import attribution_cases as ac, independent, public
 from benchmarks.attribution_run import points_of
 from benchmarks.independent import Sheet
 from benchmarks.public import campaign, machine
-from benchmarks.runs import Record, Table, arguments, records, show
+from benchmarks.runs import Record, Table, run_all
 from tests import rig_campaigns as rc
 from tests.rig import Rig, parameter_names
 
@@ -124,13 +123,10 @@ def tables(found: Sequence[Record]) -> list[Table]:
     return [Table("", "", lines)]
 
 
-def main() -> None:
-    options = arguments(__doc__, machines=60).parse_args()
-    every = [
-        (f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(options.machines) for f in SHARES
-    ]
-    show(tables(records(every, partial(run, seed=options.seed), options)))
+def cases(machines: int) -> list[Case]:
+    """Return so many machines of each share; sheets alternate."""
+    return [(f, ac.PROTOCOLS[k % len(ac.PROTOCOLS)], k) for k in range(machines) for f in SHARES]
 
 
 if __name__ == "__main__":
-    main()
+    run_all(__doc__, cases, run, tables, machines=60)
