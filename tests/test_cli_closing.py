@@ -66,7 +66,7 @@ def test_demo_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert re.search(f"Verdict explained: The {said}", one)
     assert two.startswith("1. The machine of the papers")
     assert "Verdict unexplained: The model does not fit" in two
-    so = r"Possible cause: .* Probability 0\.\d+\. .* prediction from 0\.138 to (0\.1\d+) mm rms"
+    so = r"Possible cause: .* Probability 0\.\d+\. .* posture from 0\.138 to (0\.1\d+) mm rms"
     assert float(re.search(so, two)[1]) < 0.11  # type: ignore[index]
     assert "What to do: Measure more" in two
     made = tmp_path / "orthoglide-demo"

@@ -149,7 +149,7 @@ def test_a_mesh_is_told_in_the_owners_words(mesh_closed: tuple[str, Path]) -> No
     assert "imported with --turned NAME=60" in told
     sheet = "orthoglide design --owns distance --machine {} --out distance.csv"
     assert sheet.format("machine.toml") in text  # whose folder nobody knows later
-    assert "Readings of a probe on a plate cannot detect, at three times the tolerance" in told
+    assert "Readings of a probe on a plate cannot detect, even at three times the tolerance" in told
     bars = "two rods of each tower differ in length"
     for unshown in (bars, "towers are bent"):
         assert unshown in told

@@ -280,7 +280,7 @@ def test_a_place_in_the_budget_has_its_own_words_and_nothing_rounds_to_less_than
     verdict = made_up("explained", budget=(less,))
     page = render_template("sections/budget.html.j2", data=budget(verdict), result=verdict)
     assert not re.search(r">−0(\.0+)?\b", page)
-    assert '"share of the tool’s error">0%<' in page
+    assert '"gain, % of the error now">0%<' in page
 
 
 def test_a_cause_that_is_a_whole_family_gains_its_own_not_what_the_rest_of_it_gains() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import orthoglide as og
 from benchmarks import delta_truth
 from benchmarks.delta_readings import measured
-from orthoglide.explanation.data_faults import without_faults
+from orthoglide.explanation.data_faults import _merge_faults, without_faults
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.full_posterior import posterior_at_base_fit
 from orthoglide.explanation.ranked_readings import fit_nested
@@ -151,6 +151,15 @@ def test_what_moved_twice_leaves_no_setup_without_readings() -> None:
         (factor,) = without_faults(problem, order).factors
         assert np.bincount(factor.setup).min() > 0
         assert len(factor.readings.setups) == 3
+
+
+def test_a_drift_found_with_a_move_is_searched_for_again() -> None:
+    """Both were corrected at once, and the drift of two setups ended the run in a traceback."""
+    problem = og.identify([read("tcp")], MACHINE).problem
+    rows = np.arange(len(problem.measured))
+    late, drift = Fault("moved", rows[30:]), Fault("drifted", rows, sizes=(1e-5,) * len(rows))
+    for new in ([late, drift], [drift, late]):
+        assert [fault.kind for fault in _merge_faults(problem, [], new)] == ["moved"]
 
 
 def test_a_visit_that_disagrees_with_the_other_is_told() -> None:

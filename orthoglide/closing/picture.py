@@ -60,7 +60,8 @@ def _located_option(machine: Machine, curve: Curve) -> Option:
     if place.moves_bar_ends:
         direction = np.eye(3)[LEGS.index(place.direction)]
         return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
-    both, along = curve.loses, place.against == "travel"
+    # A curve without a sign runs to both sides of its line.
+    both, along = curve.loses or not place.is_signed, place.against == "travel"
     bars = len(place.joints) > 1
     value = curve.value if along else np.full(len(curve.at), curve.size)
     travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))

@@ -11,7 +11,7 @@ from orthoglide.closing.outcome import RunOutcome
 from orthoglide.planning import Suggestion
 from orthoglide.text import MACHINE_OPTION
 
-_MOST_RIVALS = 6  # causes between which readings are proposed
+_MOST_RIVALS = 6  # single causes between which readings are proposed; pairs grow by the square
 
 
 def next_measurements(outcome: RunOutcome) -> tuple[Suggestion, ...]:
@@ -32,7 +32,8 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
     """
     geometry, posterior = outcome.request.machine.geometry, outcome.posterior
     inconclusive, lack_of_fit = not outcome.stands, outcome.lack_of_fit
-    repeats = [*map(planning.suggest_repeating, lack_of_fit.by_instrument[:inconclusive])]
+    largest = lack_of_fit.by_instrument[:1] if inconclusive else []
+    at_residual = [*map(planning.suggest_repeating, largest)]
     first: list[Suggestion] = []
     later: list[Suggestion] = []
     by_place: list[Suggestion] = []
@@ -49,7 +50,7 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
         if not geometry.dialled:
             separating = planning.suggest_instruments_for_causes(posterior, outcome.effects)
     if not geometry.dialled:
-        return (*first, *separating, *by_place, *repeats, *later)
+        return (*first, *separating, *by_place, *at_residual, *later)
     rival_sets = [(c.chosen, *c.rivals) for c in outcome.effects if c.rivals]
     rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
     motions = outcome.after.problem.machine.catalogue.motions
@@ -62,5 +63,5 @@ def _suggestions(outcome: RunOutcome) -> tuple[Suggestion, ...]:
     separating = planning.next_measurements(outcome.after, rivals, pairs=pairs, directions=())
     narrowing = planning.next_measurements(outcome.before)
     if inconclusive and lack_of_fit.dials_hold_most:
-        repeats = [planning.suggest_tracing(lack_of_fit.by_dial[0], geometry)]
-    return (*first, *repeats, *later, *separating, *by_place, *narrowing)
+        at_residual = [planning.suggest_tracing(lack_of_fit.by_dial[0], geometry)]
+    return (*first, *at_residual, *later, *separating, *by_place, *narrowing)

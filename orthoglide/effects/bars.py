@@ -49,6 +49,7 @@ BAR_MISMATCH = Effect(
         "the two bars of each leg differ in length",
         confirm="measure both bars of leg {leg} between their pivots: expect bar 1 {size} "
         "{longer|shorter} than bar 2",
+        common="bar 1 of every leg is {size} {longer|shorter} than bar 2",
     ),
 )
 
@@ -67,6 +68,8 @@ PARALLELOGRAM_WIDTH = Effect(
         "the short links at the platform differ from those at the carriages",
         confirm="measure the distance of the bars of leg {leg} at both ends: expect it {size} "
         "{wider|narrower} at the platform",
+        common="the short links of all legs at the platform are {size} {wider|narrower} than those "
+        "at the carriages",
     ),
 )
 
@@ -85,6 +88,7 @@ THERMAL_GROWTH = Effect(
         "{µm} a metre and kelvin",
         "measure the bars of leg {leg} cold and 10 K warmer: expect them {µm:10} a metre "
         "{longer|shorter}",
+        common="the bars of all legs {grow|shrink} by {size}",
     ),
     group="temperature",
 )
@@ -104,6 +108,7 @@ THERMAL_DRIFT = Effect(
         "{µm:3600} a metre and hour",
         "measure the bars of leg {leg} at the start and an hour later: expect them {µm:3600} a "
         "metre {longer|shorter}",
+        common="the bars of all legs {grow|shrink} by {size}",
     ),
     group="temperature",
     instead_of="temperature",

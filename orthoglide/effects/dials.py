@@ -27,6 +27,7 @@ GAUGE_DIRECTION = Effect(
         "the dials are turned about their legs",
         confirm="hold a square to the stem of {setup}, looking along the leg: expect the stem "
         "{size} off, {right-handed|left-handed} about the leg's axis",
+        common="all dials are turned by {size} about their legs, {right-handed|left-handed}",
     ),
     group="dial",
     dial=lambda reading, angle: cos(angle) * reading.shown + sin(angle) * reading.across,
@@ -45,6 +46,7 @@ GAUGE_SCALE = Effect(
         "the dials show more or less than they are moved",
         confirm="put gauge blocks 5 mm apart under the dial of {setup}: expect {mm:5e-3} "
         "{more|less} than 5 mm",
+        common="all dials show {size} {more|less} than they are moved",
     ),
     group="dial",
     dial=lambda reading, scale: (1 + scale) * reading.shown,
@@ -64,6 +66,7 @@ GAUGE_DRIFT = Effect(
         "{mm:3600} an hour",
         "leave the machine at rest for an hour with the dial of {setup} in place: expect its "
         "reading to {grow|fall} by {mm:3600}",
+        common="the stands of all dials creep: their readings {grow|fall} by {size}",
     ),
     group="dial",
     dial=lambda reading, rate: reading.shown + rate * reading.time,

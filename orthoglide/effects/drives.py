@@ -35,6 +35,7 @@ JOINT_OFFSET = Effect(
         "the zeros of the drives are off",
         confirm="send drive {leg} to its zero and measure its carriage against the zero mark: "
         "expect it {size} too far {out|in}",
+        common="the zeros of all drives are {size} too far {out|in}",
     ),
     group="drive",
     controller="zero",
@@ -56,6 +57,7 @@ ENCODER_SCALE = Effect(
         "the drives move more or less than commanded",
         confirm="set a dial or a scale on carriage {leg} and command a move of 50 mm: expect "
         "{mm:50e-3} {more|less} than 50 mm",
+        common="all drives move {size} {more|less} than commanded",
     ),
     group="drive",
     controller="scale",
@@ -95,6 +97,8 @@ BACKLASH = Effect(
         "the drives have lost motion",
         confirm="set a dial on carriage {leg} and come to one place from smaller and from larger "
         "travel: expect it {size} {farther out|farther in} when it comes from larger travel",
+        common="all drives have {size} of lost motion"
+        "{| with the wrong sign, as where a controller makes up for too much}",
     ),
     group="drive",
     controller="backlash",
@@ -115,6 +119,7 @@ DRIVE_COMPLIANCE = Effect(
         "{µm} a newton",
         "set a dial on carriage {leg} and push with 10 N along its rail: expect {µm:10} "
         "{with|against} the push",
+        common="all drives {give way|move against the load} by {size}",
     ),
     group="load",
 )

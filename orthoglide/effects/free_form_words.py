@@ -45,7 +45,7 @@ def clause(form: FreeFormPlace) -> str:
     """
     if form.leg < 0 and not form.of_dial:
         scales = form.part == "screw"
-        fault = "change their scales equally" if scales else "go equally wrong along their axes"
+        fault = "change their scales equally" if scales else "deviate equally along their axes"
         return f"all drives {fault} {_time_words(form)}"
     if form.of_dial:
         if not form.setup:
@@ -71,7 +71,7 @@ def clause(form: FreeFormPlace) -> str:
         "time": _time_words(form),
     }[form.against]
     fault = {
-        "drive": f"drive {leg} {'steps' if form.is_step else 'goes wrong'} along its axis",
+        "drive": f"drive {leg} {'steps' if form.is_step else 'deviates'} along its axis",
         "screw": f"drive {leg} changes its scale",
         "rail": f"the path of the {leg} carriage leaves its line toward "
         f"{toward(form.direction, 1.0)}",

@@ -47,7 +47,7 @@ PLATE_TREFOIL = Effect(
         "the plate{of_setup} has three high and three low sides",
         "the plates have three high and three low sides",
         confirm="turn the plate{of_setup} by 60 degrees and measure again: expect its three lobes "
-        "of {size} at the rim to turn with it: low toward {high_side} degrees",
+        "of {size} at the rim to turn with it: low where it was high, toward {high_side} degrees",
     ),
     group="plate",
     paired=True,

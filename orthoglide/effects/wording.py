@@ -258,4 +258,4 @@ def _pattern(effect: Effect, parameter: Parameter, value: float) -> str:
     if "." in member and side in _ABOUT:
         sense = rotation_sense(side, value, effect.names == LinearDelta.names)
         return f"all by {size}{_ABOUT[side]}, {sense}"
-    return f"all by {'' if value >= 0 else MINUS}{size}"
+    return f"all by {signed_size(effect, value)}"

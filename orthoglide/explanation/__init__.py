@@ -31,7 +31,8 @@ Data faults and changes
     assumed_noise         the noise that is assumed, tested by repeats
     alternative_readings  signs, units, labels, shifts: other data that the readings may be
     full_likelihood       their likelihood over wide backgrounds
-    ranked_readings       the likeliest of them, whole turns included; the check of levels
+    hand_turns            whole turns of a dial's hand, which depend on a fit
+    ranked_readings       the likeliest of all these; the check of levels
     credible_faults       which data faults are certain, and which may be a cause
     change, change_search, recalibration
                           parameters that changed between visits or since a calibration

@@ -3,7 +3,7 @@
 A sign, a unit, a label, two exchanged columns or labels, a row too early or too late, a dial that
 stuck; of a level its sign, its axes, and degrees. None adds columns to the linear model as a cause
 does; each is compared as other data of the same machine. Whole turns of a dial's hand, which depend
-on a fit, are listed in `ranked_readings`.
+on a fit, are listed in `hand_turns`.
 """
 
 from __future__ import annotations

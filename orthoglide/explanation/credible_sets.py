@@ -324,9 +324,9 @@ class _CredibleSetReader:
         return Located(
             members, probability, resembling,
             resembling_words=tuple(cause_short(catalogue, name) for name in resembling),
-            ruled_out=tuple(
+            ruled_out=tuple(dict.fromkeys(  # a sine and its cosine have one clause
                 cause_short(catalogue, name) for name in moving_causes if name not in resembling
-            ),
+            )),
             in_budget=(in_machine or effects)[0].name,
             parameters=tuple(str(part) for effect in in_machine for part in effect.motions),
             group=member,

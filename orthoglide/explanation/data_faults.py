@@ -297,18 +297,14 @@ def _find_misreading(
 def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:
     """Return the earlier and the new faults, without earlier ones that a new one may explain.
 
-    These are faults in setups that a new misreading covers, except wrong commands, and drifts of an
-    instrument that was moved: they are searched for again. A wrong sign or label is extended to all
-    rows of its setups in the original problem.
+    These are faults in setups that a new misreading covers, except wrong commands; and drifts of an
+    instrument that was moved, new ones too. They are searched for again. A wrong sign or label is
+    extended to all rows of its setups in the original problem.
     """
     setup, merged = problem.setup_of_row, list[Fault]()
     misread_setups = [set(setups_of(problem, f)) for f in new if f.kind in MISREADING_KINDS]
-    # Until its noise is known, a drift fits an instrument that was moved.
-    moved_setups = [set(setups_of(problem, f)) for f in new if f.kind == "moved"]
     for fault in faults:
         setups = set(setups_of(problem, fault))
-        if fault.kind == "drifted" and setups in moved_setups:
-            continue
         if fault.kind == "command" or not any(setups <= misread for misread in misread_setups):
             merged.append(fault)
     for fault in new:
@@ -316,7 +312,9 @@ def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault
         if fault.kind == "sign" or fault.relabels:
             rows = np.flatnonzero(np.isin(setup, setup[rows]))
         merged.append(replace(fault, rows=rows))
-    return merged
+    # Until its noise is known, a drift fits an instrument that was moved.
+    moved_setups = [setups_of(problem, f) for f in new if f.kind == "moved"]
+    return [f for f in merged if f.kind != "drifted" or setups_of(problem, f) not in moved_setups]
 
 
 def _correct_faults(problem: Problem, faults: Sequence[Fault]) -> Problem:

@@ -1,14 +1,8 @@
-"""The likeliest alternative readings, each compared by one factorisation of the full model.
-
-Whole turns of a dial's hand are among them: the small hand, which counts them, was not read or was
-misread. If only the large hand was read, all readings of a setup lie within one turn. The missing
-turns of a setup are rounded from its deletion residual; those of all setups at once from the
-residual of the readings, and then from what the readings with these turns corrected leave.
-"""
+"""The likeliest alternative readings, each compared by one factorisation of the full model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -17,7 +11,6 @@ from scipy.linalg import block_diag
 
 from orthoglide.errors import InputError, NumericsError
 from orthoglide.explanation.alternative_readings import (
-    EXPECTED_COUNT,
     NOISE_RATIOS,
     RowsBySetup,
     alternative_readings,
@@ -31,7 +24,6 @@ from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.faults import Fault, Rows, factors_and_rows, setups_of, weighted_rows
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
-    Deletion,
     FullLikelihood,
     Prediction,
     Scales,
@@ -39,6 +31,7 @@ from orthoglide.explanation.full_likelihood import (
     in_standard_deviations,
 )
 from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
+from orthoglide.explanation.hand_turns import turn_alternatives
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE
 from orthoglide.fit import Estimate, Problem, solve
 from orthoglide.fit.least_squares import linearise
@@ -47,7 +40,8 @@ from orthoglide.geometry import Array
 from orthoglide.observations import source
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending, largest
 
-_MOST_RANKED = 3  # alternatives that are searched in full: 6 changed no result
+_PER_SELECTION = 3
+"""Alternatives of each selection of backgrounds that are searched in full: 6 changed no result."""
 
 BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
 """Backgrounds under which misreadings of dials are ranked: a usual machine, a sound one, one off by
@@ -55,7 +49,7 @@ all its tolerances, and one with free-form errors everywhere."""
 
 
 def fit_nested(problem: Problem) -> Estimate:
-    """Return the fit of readings that are still in doubt."""
+    """Return the fit of readings that are still in doubt, with their priors as they stand."""
     return solve(problem, method="nested", widen=False)
 
 
@@ -102,8 +96,8 @@ def likeliest_misreading(
 
 
 def check_drive_order(estimate: Estimate) -> None:
-    """Refuse campaigns of which the full model, too, prefers the commands of drives exchanged: to
-    the readings as they stand, and to two dials with each other's label, a fault of the data.
+    """Refuse campaigns if the full model, too, prefers exchanged commands of two drives: both to
+    the readings as they stand and to exchanged labels of two dials, which are a fault of the data.
 
     Raises:
         InputError: naming the files, and the drives.
@@ -116,8 +110,8 @@ def check_drive_order(estimate: Estimate) -> None:
     exchanges = [fault for fault in alternatives if fault.kind == "exchanged_labels"]
     corrected = (with_faults_corrected(problem, [fault]) for fault in exchanges)
     others = [_evidence(p) for p in corrected if sigma_scale_within(p, tied) < tied]
-    as_read = posterior_at_base_fit(estimate).evidence + TWENTY_TO_ONE
-    if _evidence(suspected.exchanged) > max([as_read, *others]):
+    threshold = posterior_at_base_fit(estimate).evidence + TWENTY_TO_ONE
+    if _evidence(suspected.exchanged) > max([threshold, *others]):
         raise InputError(suspected.message)
 
 
@@ -209,7 +203,7 @@ def _rank(
         return [priors + np.logaddexp.reduce(logs[of, 1:], axis=0) - log for of, log in pairs]
 
     # Other labels take most time, and are left out where three others exceed their usual gain.
-    enough = [odds[descending(odds)[:_MOST_RANKED]][-1] for odds in all_log_odds()]
+    enough = [odds[descending(odds)[:_PER_SELECTION]][-1] for odds in all_log_odds()]
     predictions = dict[bytes, list[Prediction]]()  # of the machine, by the rows it is without
     for k, fault in relabelled.items():
         limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
@@ -217,7 +211,7 @@ def _rank(
             logs[:, k] = _relabelled(model, likelihoods, predictions, fault) - costs
     ranked_odds = dict[int, float]()
     for odds in all_log_odds():
-        for k in descending(odds, LOG_ODDS_MARGIN)[:_MOST_RANKED]:
+        for k in descending(odds, LOG_ODDS_MARGIN)[:_PER_SELECTION]:
             ranked_odds[k] = max(float(odds[k]), ranked_odds.get(k, -np.inf))
     return [(odds, alternatives[k]) for k, odds in ranked_odds.items() if odds > least]
 
@@ -294,107 +288,3 @@ def _relabelled(
         whitened = map(whiten, (columns[:, which], placed, residual - expected))
         logs.append(prediction.relabelled(*whitened))
     return np.array(logs)
-
-
-HAND_TURNS = (1e-3, 5e-4, 2e-4, 2.54e-3, 2.54e-4)
-"""Travel by one turn of the large hand of a dial, metres; the most usual first."""
-
-_DIVISION_RANGE = (40, 300)
-"""Fewest and most divisions of a turn. Dials have 50 (0.5 mm by hundredths) to 200, and 254 appear
-where inches were converted (2.54 mm by hundredths); the next ones, 25 and 500, are no dials: 0.254
-mm by hundredths and 0.5 mm by thousandths. The limits lie between."""
-_USUAL_DIVISIONS = (100, 200)  # divisions of most dials
-_ROUNDS = 4  # corrections of the turns
-_EQUAL_DECIMALS = 9  # decimals of a metre: five turns of 0.2 mm are one of 1 mm
-
-
-def turn_alternatives(
-    problem: Problem,
-    likelihoods: Sequence[FullLikelihood],
-    deletions: Sequence[Mapping[int, Deletion]],
-    rows_by_setup: RowsBySetup,
-) -> list[Fault]:
-    """Return the likeliest whole turns by which readings of each setup, or of all, are off.
-
-    Args:
-        problem: the readings.
-        likelihoods: their likelihood under several backgrounds.
-        deletions: of each of these, every setup against its prediction by all others.
-        rows_by_setup: rows of each setup without a misreading.
-    """
-    found: dict[bytes, Fault] = {}
-    least, most = _DIVISION_RANGE
-    steps = {s: float(problem.resolution[rows].max()) for s, rows in rows_by_setup.items()}
-    for likelihood, deletion in zip(likelihoods, deletions, strict=True):
-        for turn in HAND_TURNS:
-            # Dials whose step, 0 if unknown, allows such a hand.
-            able = [s for s, step in steps.items() if not step or least <= turn / step <= most]
-            dials = {s: rows_by_setup[s] for s in able}
-            per_setup = np.zeros((len(dials), len(problem.measured)))
-            for off, (s, rows) in zip(per_setup, dials.items(), strict=True):
-                off[rows] = turn * _whole_turns(deletion[s].difference, turn)
-            for off in (*per_setup, _joint_turns(likelihood, dials, turn)):
-                if any(_are_turns(off[rows], problem.station[rows]) for rows in dials.values()):
-                    alternative = _turn_alternative(problem, dials, off, turn)
-                    found.setdefault((np.round(off, _EQUAL_DECIMALS) + 0.0).tobytes(), alternative)
-    return list(found.values())
-
-
-def _are_turns(off: Array, station: Rows) -> bool:
-    """Return whether readings in time order ``(k,)`` may be off by turns.
-
-    A single one is a slip, and a single step is a knocked stand. At least half of the stations must
-    that are off be so by the same turns at each visit, because the hand stands at one division.
-    """
-    affected = np.unique(station[off != 0])
-    constant = sum(np.ptp(off[station == s]) == 0 for s in affected)
-    steps = np.count_nonzero(np.diff(off))
-    return bool(np.count_nonzero(off) > 1 and steps > 1 and 2 * constant >= len(affected))
-
-
-def _turn_alternative(problem: Problem, dials: RowsBySetup, off: Array, turn: float) -> Fault:
-    affected = [rows for rows in dials.values() if off[rows].any()]
-    log_cost = sum(_log_cost_of_turns(problem, rows, off[rows], turn) for rows in affected)
-    all_rows = np.flatnonzero(off)
-    log_odds, sizes = float(np.log(EXPECTED_COUNT)) - log_cost, tuple(off[all_rows].tolist())
-    return Fault("turns", all_rows, turn, sizes=sizes, log_odds=log_odds)
-
-
-def _whole_turns(residual: Array, turn: float) -> Array:
-    """Return the whole turns in the residual of a setup ``(k,)``, whose datum is free, relative to
-    their most frequent number.
-    """
-    turns = residual / turn
-    datum = np.angle(np.exp(2j * np.pi * turns).sum()) / (2 * np.pi)
-    whole = np.rint(turns - datum)
-    values, count = np.unique(whole, return_counts=True)
-    return np.asarray(whole - values[count.argmax()])
-
-
-def _joint_turns(likelihood: FullLikelihood, rows: RowsBySetup, turn: float) -> Array:
-    """Return the whole turns of all setups at once ``(n,)``, metres; zeros if not converged."""
-    residual = likelihood.weighing.metres(likelihood.residual)
-    last = np.zeros(len(residual))
-    for _ in range(_ROUNDS):
-        off = np.zeros(len(residual))
-        for setup_rows in rows.values():
-            off[setup_rows] = turn * _whole_turns(residual[setup_rows], turn)
-        if np.array_equal(off, last):
-            return off
-        residual, last = off + likelihood.expected_noise(-off), off
-    return np.zeros(len(residual))
-
-
-def _log_cost_of_turns(problem: Problem, rows: Rows, off: Array, turn: float) -> float:
-    """Return the log number of equally plausible ways in which a setup is off by turns, up or down:
-    by one turn from some station on, if all readings lie within a turn, or each station by up to
-    its number of turns. Dials with other or unknown divisions than the usual ones cost more.
-    """
-    divisions = turn / max(float(problem.resolution[rows].max()), 1e-300)
-    unusual = 0.0 if np.isclose(divisions, _USUAL_DIVISIONS, rtol=0.01).any() else TWENTY_TO_ONE
-    stations, index = np.unique(problem.station[rows], return_inverse=True)
-    whole = np.zeros(len(stations))
-    np.maximum.at(whole, index.reshape(-1), np.abs(off) / turn)
-    by_station = np.log(2 * len(stations) * whole[whole > 0]).sum()
-    one_turn = float(np.ptp(problem.measured[rows])) < turn
-    return unusual + float(min(by_station, np.log(2 * len(stations)) if one_turn else np.inf))

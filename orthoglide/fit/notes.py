@@ -72,8 +72,9 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
-            f"the linear system (11) fits readings that differ by {check.linear * 1e3:.3g} mm, "
-            f"more than second-order terms explain: treat the result with care"
+            f"the linear system (11) predicts readings that differ by "
+            f"{check.linear_size * 1e3:.3g} mm rms, where the second-order terms that it neglects "
+            f"explain {check.linear_bound * 1e3:.3g} mm: treat the result with care"
         )
         collected.append(Note(text, "second_order"))
     return tuple(collected)

@@ -36,9 +36,10 @@ from orthoglide.prediction.load import (
     tensions_tangent,
 )
 
-# Each round multiplies the error by the relative stretch of a bar, as a rule a hundred-thousandth:
-# three rounds are enough, except for bars of rubber.
 _MAX_ELASTIC_ROUNDS = 200
+"""Rounds to the equilibrium of elastic bars. Each multiplies the error by the relative stretch of a
+bar: a hundred-thousandth for steel, which needs three rounds. Bars that stretch by 85 % of their
+length, which is no machine, would need all."""
 _ELASTIC_TOLERANCE = 1e-14  # metres by which bars still change: the error left is far smaller
 
 
@@ -124,7 +125,7 @@ class MovedMechanism:
         if self.is_elastic(conditions):
             tension = joint_forces(tangent, conditions.load)[:, BARS]
             stretched = tensions_tangent(outputs, tangent, tension) * self._compliance
-            # Stretches change the tensions too.
+            # The stretch changes the tensions too.
             coupled = np.linalg.solve(np.eye(6) - stretched[:, :, BARS], stretched)
             tangent = tangent + tangent[:, :, BARS] @ coupled
         return outputs, tangent
@@ -170,7 +171,8 @@ class MovedMechanism:
         """Return poses and bars of closed postures.
 
         Raises:
-            ClosureError: naming the first posture that does not close.
+            ClosureError: naming the first posture that does not close, or the worst one if the bars
+                find no equilibrium under the load.
         """
         displacements = self.loaded_displacements(values, conditions)
         return self.engine.outputs(self._travel(conditions), displacements)

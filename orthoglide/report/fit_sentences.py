@@ -28,9 +28,9 @@ def residual_words(scores: Scores) -> str:
     """Return what the first residual of a fit is called: that of averaged deviations of dials, or
     else of readings.
     """
-    averaged = math.isfinite(scores.deviation_rms)
-    of = "averaged readings and their prediction" if averaged else "readings and prediction"
-    return f"the difference between {of}"
+    if math.isfinite(scores.deviation_rms):
+        return "the residual of averaged readings relative to each setup's first posture"
+    return "the residual of the readings"
 
 
 def _rms_change(before: Scores, after: Scores) -> str:

@@ -15,7 +15,12 @@ from orthoglide.geometry import LEGS
 from orthoglide.numerals import compact
 from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.rows import millimetres
-from orthoglide.report.sentences import undetected_effects, unvaried_effects, unvaried_words
+from orthoglide.report.sentences import (
+    NOT_VARIED,
+    undetected_effects,
+    unvaried_effects,
+    unvaried_words,
+)
 from orthoglide.result import BudgetItem, Result, SetupResidual, Workspace
 from orthoglide.text import listed, sentence
 
@@ -141,6 +146,7 @@ def unseen(result: Result) -> Data:
         "sentences": weak_sentences(result.weak, result.catalogue),
         "effects": undetected_effects(result),
         "unexcited": unvaried_effects(result),
+        "not_varied": NOT_VARIED,
         "sides": sentence(words) if (words := unvaried_words(result)) else "",
         # Not if the report states above that no more readings of a dial on a leg help.
         "second_place": _has_one_place(result)

@@ -47,6 +47,12 @@ MEANINGS: Mapping[str, str] = {
 
 _NO_ACTION = "No correction is advised: none would clearly improve the tool."
 
+NOT_VARIED = (
+    "Approach, load, temperature or time did not vary as needed, or the machine file lacks a value "
+    "(such as a screw's pitch)"
+)
+"""Why effects cannot show, a clause."""
+
 MEAN_OVER_CAUSES = "on average, whichever of these it is"
 MEAN_WITH_PLATE = "on average, nothing if it is the plate"
 """Words after the expected gain of correcting one of several causes."""
@@ -297,9 +303,11 @@ def undetected_text(result: Result) -> str:
     if hidden := undetected_effects(result):
         used = listed(result.instruments.values())
         clauses = "; ".join(f"that {words}" for words in hidden)
-        texts.append(f"Readings of {used} cannot detect, at three times the tolerance, {clauses}.")
+        texts.append(
+            f"Readings of {used} cannot detect, even at three times the tolerance, {clauses}."
+        )
     if unvaried := unvaried_effects(result):
-        texts.append(f"Nothing was varied that would show that {', or that '.join(unvaried)}.")
+        texts.append(f"{NOT_VARIED}, to show that {', or that '.join(unvaried)}.")
     return " ".join(texts).removesuffix(".")
 
 

@@ -130,7 +130,7 @@ def _width() -> int:
 
 def _tables(result: Result, all_candidates: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
-    yield from table(("share of this finding", "cause"), _finding_rows(result))
+    yield from table(("share of its finding", "cause"), _finding_rows(result))
     alone = ((probability(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE_TITLES, possible_rows(result))

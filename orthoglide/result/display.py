@@ -62,8 +62,8 @@ class Workspace:
         """
         shown = improved and self.left.any()  # nothing is left if the base model was calibrated
         corrected = [("offsets and lengths corrected", self.before)] if shown else []
-        errors = [("predicted error now", self.nominal), *corrected]
-        return [*errors, ("95 % radius afterwards", self.sure)]
+        errors = [("predicted error", self.nominal), *corrected]
+        return [*errors, ("95 % radius of the prediction", self.sure)]
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields: mean and largest."""
