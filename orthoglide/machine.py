@@ -31,6 +31,8 @@ from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.observations import Readings
 from orthoglide.prediction import Conditions, Model
 from orthoglide.scene import Posed, drawing
+from orthoglide.text import printable_path
+from orthoglide.urdf import held_parameters
 
 
 @public
@@ -97,12 +99,13 @@ class Machine:
 
         Args:
             folder: with ``orthoglide.urdf`` and ``orthoglide.closures.toml``.
-            given: machine with everything else; of its dimensions the command at mechanical zero,
-                the stroke and the places of dials are used.
+            given: machine with everything else, nominal where the URDF is an exported one, which
+                contains the errors; of its dimensions the command at mechanical zero, the stroke
+                and the places of dials are used.
 
         Raises:
             FileError: where a file is missing or invalid.
-            InputError: where the URDF has other legs.
+            InputError: where the URDF has other legs, or contains the given machine's errors.
         """
         path = as_path(folder).resolve()
         machine = cls(replace(cls.of(given).spec, name=path.name, urdf=str(path)))
@@ -238,8 +241,17 @@ class Machine:
     def model(self) -> Model:
         """The general mechanism with this machine's dimensions, which machines of the same tree
         share; it is built when it is first used.
+
+        Raises:
+            InputError: where the URDF of the machine's file contains the machine's errors already.
         """
         spec = self.spec
+        held = held_parameters(spec.urdf) if spec.urdf else {}
+        if held and all(np.isclose(self.values.get(n, 0.0), v, atol=0.0) for n, v in held.items()):
+            raise InputError(
+                f"the URDF in {printable_path(spec.urdf)} contains the errors of this machine "
+                f"already, and they would count twice: give it with the nominal machine"
+            )
         return Model(spec.geometry, spec.screw_pitch, spec.stiffness, spec.catalogue, spec.urdf)
 
     def by_pinocchio(self) -> Machine:

@@ -464,6 +464,21 @@ def test_the_comment_says_what_is_left_out() -> None:
     assert pin.buildModelFromXML(text).nq == 18
 
 
+def test_an_exported_urdf_is_not_given_its_errors_twice(tmp_path: Path) -> None:
+    """With the calibrated machine every error counted twice, without a word."""
+    calibrated = machine({"joint_offset.x": 5e-3, "leg_length.y": 1e-4})
+    for name, text in export_files(calibrated).items():
+        (tmp_path / name).write_text(text)
+    exported = Machine.from_urdf(tmp_path)
+    expected = calibrated.forward(COMMANDS_RHO)
+    assert np.abs(exported.forward(COMMANDS_RHO) - expected).max() < 1e-9
+    with pytest.raises(InputError, match="count twice: give it with the nominal machine"):
+        Machine.from_urdf(tmp_path, calibrated)
+    # What is found later, of the machine that the URDF describes, is added.
+    later = Machine.from_urdf(tmp_path, machine({"joint_offset.x": 1e-4}))
+    assert later.forward(COMMANDS_RHO)[0, 0] - expected[0, 0] == pytest.approx(1e-4, rel=0.1)
+
+
 # -- files and commands -------------------------------------------------------------------------
 
 

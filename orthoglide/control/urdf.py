@@ -58,7 +58,7 @@ def export_files(
     return {
         **numbers_files,
         urdf: tree,
-        closures: closures_text(loops, urdf),
+        closures: closures_text(loops, urdf, constant_geometry(machine)),
         mjcf: calibrated_mjcf(machine),
         **parallel_robot_files(machine.geometry, tree, loops),
     }

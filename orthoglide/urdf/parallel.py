@@ -110,16 +110,31 @@ def _package_files(folder: str | os.PathLike[str]) -> tuple[Path, Path]:
     return base / f"{closure_file.name.removesuffix(CLOSURES_ENDING)}.urdf", closure_file
 
 
+def held_parameters(folder: str | os.PathLike[str]) -> dict[str, float]:
+    """Return the parameters of a calibrated machine, SI, that the URDF of a folder contains.
+
+    Raises:
+        FileError: where the file of closures is missing, or is no TOML.
+    """
+    table = _read_closures(_package_files(folder)[1]).get("held", {})
+    numbers = table.items() if isinstance(table, dict) else ()
+    return {name: float(value) for name, value in numbers if isinstance(value, int | float)}
+
+
+def _read_closures(path: Path) -> dict[str, Any]:
+    text = files.decode(files.read_bytes(path, files.TEXT_LIMIT), path)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        text = f"must be TOML ({abbreviated(str(error))})"
+        raise FileError(text, file=printable_path(path)) from None
+
+
 def _read_package_files(folder: str | os.PathLike[str]) -> ParallelRobot:
     """Read the two files of a folder in the format of this package."""
     urdf_path, toml_path = _package_files(folder)
     urdf, names = _read_urdf(urdf_path)
-    text = files.decode(files.read_bytes(toml_path, files.TEXT_LIMIT), toml_path)
-    file = printable_path(toml_path)
-    try:
-        tables = tomllib.loads(text).get("closure", [])
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"must be TOML ({abbreviated(str(error))})", file=file) from None
+    file, tables = printable_path(toml_path), _read_closures(toml_path).get("closure", [])
     loops = []
     for table in tables if isinstance(tables, list) else []:
         if not isinstance(table, dict):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -186,8 +186,14 @@ def file_names(geometry: Geometry) -> tuple[str, str, str]:
     return f"{kind}.urdf", f"{kind}{CLOSURES_ENDING}", f"{kind}.xml"
 
 
-def closures_text(loops: Sequence[Closure], urdf: str = URDF_FILE) -> str:
-    """Return the closures in TOML: one table ``[[closure]]`` for each loop of the file ``urdf``."""
+def closures_text(
+    loops: Sequence[Closure], urdf: str = URDF_FILE, held: Mapping[str, float] | None = None
+) -> str:
+    """Return the closures in TOML: one table ``[[closure]]`` for each loop of the file ``urdf``.
+
+    ``held``: parameters of a calibrated machine whose values, SI, the URDF contains; they stand in
+    the table ``[held]``.
+    """
     head = (
         f"# {_GENERATED}\n"
         f"# Frames of {urdf} that coincide in the assembled machine:\n"
@@ -198,7 +204,9 @@ def closures_text(loops: Sequence[Closure], urdf: str = URDF_FILE) -> str:
         f'frame_1 = "{loop.frame_1}"\nframe_2 = "{loop.frame_2}"\n'
         for loop in loops
     )
-    return head + "".join(tables)
+    lines = [f'"{name}" = {value!r}\n' for name, value in (held or {}).items()]
+    of_machine = ["\n# Errors that the URDF contains, SI.\n[held]\n", *lines] if lines else []
+    return head + "".join([*tables, *of_machine])
 
 
 def write(folder: str | Path, geometry: Geometry | None = None) -> tuple[Path, Path]:
