@@ -210,6 +210,16 @@ def test_a_fault_is_found_and_named(what, machine, nominal):
     assert re.search(case.said, blunder.message), blunder.message
 
 
+def test_a_whole_file_in_inches_is_one_fault(machine):
+    """Setup by setup, four were in centimetres and two in inches; then a part was blamed."""
+    rows = [dict(row) for row in rows_of("sweep")]
+    for row in rows:
+        row["reading_mm"] = round(row["reading_mm"] / 25.4, 4)
+    (blunder,) = found_in(rows, machine)
+    assert (blunder.kind, len(blunder.setups)) == ("unit", 6)
+    assert "multiplied by 25.4, so they seem to be in inches" in blunder.message
+
+
 def test_stuck_dial(machine):
     spoilt, touched = rc.stuck_dial(rows_of("standard"), "yz-0.5")
     (blunder,) = found_in(spoilt, machine)

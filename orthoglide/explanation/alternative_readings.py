@@ -85,13 +85,22 @@ def _sharing_prior(kind: Iterable[Fault]) -> list[Fault]:
     return [replace(one, log_odds=one.log_odds + share) for one in alternatives]
 
 
-def _signs(_: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
+def _each_and_all(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Rows]:
+    """Yield the rows of each setup, and those of all setups of a campaign together."""
+    by_campaign: dict[int, list[Rows]] = {}
     for rows in rows_by_setup.values():
+        by_campaign.setdefault(_campaign_index(problem, rows), []).append(rows)
+    yield from rows_by_setup.values()
+    yield from (np.sort(np.concatenate(each)) for each in by_campaign.values() if len(each) > 1)
+
+
+def _signs(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
+    for rows in _each_and_all(problem, rows_by_setup):
         yield Fault("sign", rows, -1.0)
 
 
 def _units(problem: Problem, rows_by_setup: RowsBySetup) -> Iterator[Fault]:
-    for rows in rows_by_setup.values():
+    for rows in _each_and_all(problem, rows_by_setup):
         sigma = problem.reading_sd[rows]
         for factor in UNIT_MISTAKES:
             fault = Fault("unit", rows, factor)

@@ -72,6 +72,10 @@ _OVERSTATED_NOISE = 0.25
 """Chi2 per degree of freedom below which the declared noise is at least twice too large."""
 
 
+_State = tuple[Estimate, FullPosterior]
+"""A fit of the base model, and its posterior."""
+
+
 @dataclass(frozen=True)
 class DataFindings:
     """Data faults, and changes of the machine between visits."""
@@ -109,11 +113,12 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
         first = posterior_with_corrected_commands(base)
-        base, posterior = _with_likelier_noise(base, first)
-        misreading = _find_misreading(base, posterior, faults_found)
+        states = _with_likelier_noise(base, first)
+        base, posterior = states[0]
+        misreading = _find_misreading(states, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
             evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
-            misreading = _find_misreading(fit, unchanged, faults_found, evidence)
+            misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
         converged = None
         if misreading is None and found.ambiguous and not found.certain:
@@ -222,18 +227,17 @@ def _fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
         )
 
 
-def _with_likelier_noise(
-    base: Estimate, posterior: FullPosterior
-) -> tuple[Estimate, FullPosterior]:
-    """Return the fit and its posterior, with smaller noise if its evidence is larger: larger noise
-    would hide a fault.
+def _with_likelier_noise(base: Estimate, posterior: FullPosterior) -> list[_State]:
+    """Return the fit and its posterior; before them, with smaller noise if its evidence is larger:
+    larger noise would hide a fault.
     """
     either = [(base, posterior)]
     if squares := _smaller_noise_squares(posterior):
         with suppress(NumericsError):  # readings far off drive a fit to where no loop closes
             smaller = fit_nested(with_smaller_noise(base.problem, squares))
             either.append((smaller, posterior_with_corrected_commands(smaller)))
-    return best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
+    likelier = best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
+    return [likelier] if likelier is either[0] else [likelier, either[0]]
 
 
 def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
@@ -276,22 +280,32 @@ def _with_tolerance_priors(problem: Problem) -> Problem:
 
 
 def _find_misreading(
-    base: Estimate,
-    posterior: FullPosterior,
-    faults: Sequence[Fault],
-    other_evidence: float = -np.inf,
+    states: Sequence[_State], faults: Sequence[Fault], other_evidence: float = -np.inf
 ) -> Fault | None:
     """Return the misreading, among setups without a known one, that explains the readings clearly
     better than they stand; ``None`` if there is none.
+
+    Args:
+        states: the readings with each assumption of their noise. Smaller noise may belong to
+            readings in a wrong unit, and the noise assumed first to the corrected ones.
+        faults: found so far.
+        other_evidence: log evidence of another explanation of the readings.
     """
-    rows_by_setup = setups_to_reinterpret(base.problem, faults)
-    alternatives = [*alternative_readings(base.problem, rows_by_setup)]
-    # Without dials, larger noise of a few distances or touches would hide faults of single ones.
-    if rows_by_setup:
-        every = range(len(base.problem.setups))
-        rows_by_setup = setups_to_reinterpret(base.problem, faults, every)
-        alternatives += noisy_setups(rows_by_setup)
-    return likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
+    other_evidence = max([other_evidence, *(posterior.evidence for _, posterior in states)])
+    found = list[tuple[float, Fault | None]]()
+    for base, posterior in states:
+        rows_by_setup = setups_to_reinterpret(base.problem, faults)
+        alternatives = [*alternative_readings(base.problem, rows_by_setup)]
+        # Without dials, larger noise of a few distances or touches would hide faults of single
+        # ones.
+        if rows_by_setup:
+            every = range(len(base.problem.setups))
+            rows_by_setup = setups_to_reinterpret(base.problem, faults, every)
+            alternatives += noisy_setups(rows_by_setup)
+        found.append(
+            likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
+        )
+    return best_of(found, lambda one: one[0], LOG_ODDS_MARGIN)[1]
 
 
 def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:

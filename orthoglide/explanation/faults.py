@@ -202,6 +202,11 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
     count = len(fault.rows)
     match fault.kind:
         case "sign":
+            if len(setups_of(problem, fault)) > 1:
+                return (
+                    "the readings fit with the opposite sign, so these dials counted the other "
+                    "way: look at which way their hands turn, and put the opposite directions"
+                )
             other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
             return (
                 f"the readings fit with the opposite sign, so the dial counted the other way: look "
@@ -229,7 +234,7 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
         case "unit":
             return (
                 f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {UNIT_MISTAKES[fault.size]}: put this setup into millimetres"
+                f"be {UNIT_MISTAKES[fault.size]}: put these readings into millimetres"
             )
         case "noisy":
             parts = "dial, its stand and its leg"

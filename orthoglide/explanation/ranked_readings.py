@@ -60,9 +60,9 @@ def likeliest_misreading(
     rows_by_setup: RowsBySetup,
     other_evidence: float = -np.inf,
     background_scales: Sequence[Scales] = BACKGROUND_SCALES,
-) -> Fault | None:
+) -> tuple[float, Fault | None]:
     """Return the misreading, or the noisy setup, whose evidence exceeds that of the readings as
-    they stand by `TWENTY_TO_ONE`; ``None`` if there is none.
+    they stand by `TWENTY_TO_ONE`, after its log evidence; ``None`` after theirs if there is none.
 
     Args:
         base: fit to the readings as they stand.
@@ -92,7 +92,7 @@ def likeliest_misreading(
         if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
             candidate = other.evidence + alternative.log_odds, alternative
             best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
-    return best[1]
+    return best
 
 
 def check_drive_order(estimate: Estimate) -> None:
@@ -145,7 +145,7 @@ def check_levels(estimate: Estimate) -> None:
         return
     readings, posterior = level_readings(problem), posterior_at_base_fit(estimate)
     rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
-    found = likeliest_misreading(
+    _, found = likeliest_misreading(
         estimate, posterior, [*readings.values()], rows_by_setup, background_scales=_LEVEL_SCALES
     )
     if found is not None:
