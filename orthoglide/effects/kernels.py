@@ -45,14 +45,14 @@ class Kernel:
 
     @cached_property
     def weights(self) -> Array:
-        """Standard deviation of each eigenfunction's coefficient ``(waves,)``."""
+        """Standard deviation of each coefficient, of eigenfunctions and the line ``(count,)``."""
         frequency = np.pi * np.arange(1, self.waves + 1) / (2 * _INTERVAL_RATIO)
         rate = np.sqrt(3) / self.length
         smooth = 4 * rate**3 / (rate**2 + frequency**2) ** 2
         rate = 1 / self.length
         rough = 2 * rate / (rate**2 + frequency**2)
         density = (1 - self.rough) * smooth + self.rough * rough
-        return np.asarray(np.sqrt(density / _INTERVAL_RATIO))
+        return np.append(np.sqrt(density / _INTERVAL_RATIO), np.ones(int(self.line)))
 
     def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
         """Eigenfunctions of a variable in [-1, 1], each times its weight, and the line, less their

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
-from orthoglide.effects.free_form import FreeForm
+from orthoglide.effects.free_form import FreeForm, shared_functions
 from orthoglide.explanation.candidates import build_groups, coefficient_spans
 from orthoglide.explanation.compression import MOST_RANKED_READINGS, MergedRows, WhitenedReadings
 from orthoglide.explanation.dial_curves import dial_curve_columns
@@ -308,8 +307,10 @@ def _scaled_columns(
     plate_block, plate_sd = plate_shape_columns(full_problem)
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
-    blocks = chain([linearised.jacobian * sd], machine_blocks, dial_blocks, [plate_block])
-    return MergedRows((), index).beside(blocks), units, errors, len(plate_sd)
+    _, number, factor = shared_functions(machine_errors)
+    rows = MergedRows((), index).beside([linearised.jacobian * sd])
+    rows = rows.beside(machine_blocks, (number, factor)).beside([*dial_blocks, plate_block])
+    return rows, units, errors, len(plate_sd)
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:

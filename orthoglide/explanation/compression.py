@@ -13,7 +13,7 @@ the stations, and its degrees of freedom, are kept.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -40,7 +40,8 @@ _ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MergedRows:
-    """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once.
+    """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once, and
+    multiples of one column once.
 
     Blocks are not copied into one array, which would need as much memory again. Those of readings
     that are not ranked have single precision: the square of its rounding is below ``_ROUNDING``.
@@ -49,13 +50,22 @@ class MergedRows:
     # columns by distinct row, and the index of each row among these (n,); parameters come first
     blocks: tuple[tuple[Array, NDArray[np.int64]], ...]
     index: NDArray[np.int64]  # from `equal_rows`: number of each row among the distinct ones (n,)
+    # of the stored column that each column is a multiple of, and its factor (C,)
+    stored: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    factor: Array = field(default_factory=lambda: np.zeros(0))
 
-    def beside(self, blocks: Iterable[Array]) -> MergedRows:
+    def beside(
+        self,
+        blocks: Iterable[Array],
+        multiples: tuple[NDArray[np.intp], Array] | None = None,
+    ) -> MergedRows:
         """Return the matrix with further blocks.
 
         Args:
             blocks: of all rows ``(n, K)``, or of the first of each set of equal rows ``(m, K)``;
                 columns of all rows may differ within such a set.
+            multiples: index among the columns of ``blocks`` and factor of each further column; by
+                default the columns themselves.
         """
         first, every, index = self.first, np.arange(len(self.index)), self.index
         precision = np.float64 if len(every) <= MOST_RANKED_READINGS else np.float32
@@ -68,16 +78,22 @@ class MergedRows:
         varying = [block for block, rows in added if rows is every]
         if varying:
             index = equal_rows(np.column_stack([index, *varying]))
-        return MergedRows((*self.blocks, *added), index)
+        every_block = *self.blocks, *added
+        width = [block.shape[1] for block, _ in every_block]
+        start = sum(width[: len(self.blocks)])
+        count = sum(width) - start
+        number, factor = (np.arange(count), np.ones(count)) if multiples is None else multiples
+        stored = np.concatenate([self.stored, start + number])
+        return MergedRows(every_block, index, stored, np.concatenate([self.factor, factor]))
 
-    @property
+    @cached_property
     def first(self) -> NDArray[np.int64]:
         """First of each set of equal rows ``(m,)``."""
         return np.unique(self.index, return_index=True)[1]
 
     @cached_property
     def _ends(self) -> NDArray[np.intp]:
-        """Index of the column after each block ``(blocks,)``."""
+        """Index of the stored column after each block ``(blocks,)``."""
         return np.cumsum([block.shape[1] for block, _ in self.blocks])
 
     def reduced_to(self, columns: NDArray[np.intp]) -> MergedRows:
@@ -85,32 +101,38 @@ class MergedRows:
 
         All columns keep their numbers; only those of the blocks that stay may be read.
         """
-        kept = np.isin(np.arange(self._ends[-1]), columns)
+        kept = np.isin(np.arange(self._ends[-1]), self.stored[columns])
         blocks = [
             (block if part.any() else np.empty((0, len(part))), index)
             for (block, index), part in zip(
                 self.blocks, np.split(kept, self._ends[:-1]), strict=True
             )
         ]
-        return MergedRows(tuple(blocks), self.index)
+        return replace(self, blocks=tuple(blocks))
 
     def rows(self, which: NDArray[np.int64]) -> Array:
         """Return some rows ``(k, C)``."""
+        return self.stored_rows(which)[:, self.stored] * self.factor
+
+    def stored_rows(self, which: NDArray[np.int64]) -> Array:
+        """Return some rows of the stored columns ``(k, S)``."""
         return np.hstack([block[index[which]] for block, index in self.blocks])
 
     def columns(self, which: Any = slice(None)) -> Array:
         """Return some columns ``(n, k)``, by an index of NumPy, or all of them."""
-        chosen = np.arange(self._ends[-1])[which]
+        chosen = self.stored[which]
         number = np.searchsorted(self._ends, chosen, side="right")
         columns = np.empty((len(self.index), len(chosen)))
         for k in np.unique(number).tolist():
             (block, index), in_block = self.blocks[k], number == k
             columns[:, in_block] = block[:, chosen[in_block] - self._ends[k]][index]
+        columns *= self.factor[which]
         return columns
 
     def __matmul__(self, vector: Array) -> Array:
         """Return the product with a vector ``(C,)``: ``(n,)``."""
-        parts = zip(self.blocks, np.split(vector, self._ends[:-1]), strict=True)
+        of_stored = np.bincount(self.stored, vector * self.factor, minlength=self._ends[-1])
+        parts = zip(self.blocks, np.split(of_stored, self._ends[:-1]), strict=True)
         return np.asarray(sum((block @ part)[index] for (block, index), part in parts))
 
 
@@ -177,12 +199,16 @@ def compress_readings(
     gram, station_chi2 = tail.T @ tail, 0.0
     station_gram = np.zeros_like(gram)
     for block, weighing in _station_blocks(nuisance.weighing):
-        whitened = weighing.whiten(readings.rows(first[block]))
+        whitened = weighing.whiten(readings.stored_rows(first[block]))
         whitened -= basis[block] @ nuisance_part
-        gram += whitened.T @ whitened
+        gram_of_block = whitened.T @ whitened
+        gram += gram_of_block
         unit_error = weighing.whiten(sigma[block])
-        station_sums = np.add.reduceat((whitened.T * unit_error).T, weighing.first_rows, axis=0)
-        station_gram += station_sums.T @ station_sums
+        if len(weighing.first_rows) < len(block) or (unit_error != 1.0).any():
+            errors = (whitened.T * unit_error).T
+            station_sums = np.add.reduceat(errors, weighing.first_rows, axis=0)
+            gram_of_block = station_sums.T @ station_sums
+        station_gram += gram_of_block
         station_chi2 += float(np.sum(weighing.station_components(whitened[:, -1]) ** 2))
     length = np.sqrt(np.diag(gram)[:-1])
     length = np.where(length > 0, length, 1.0)
@@ -190,7 +216,7 @@ def compress_readings(
     kept = values > _ROUNDING * max(values.max(initial=0.0), 1.0)
     values, vectors = values[kept], vectors[:, kept]
     transform = (vectors / np.sqrt(values)) / length[:, None]
-    columns = (vectors * np.sqrt(values)).T * length
+    columns = ((vectors * np.sqrt(values)).T * length)[:, rows.stored] * rows.factor
     compressed_residual = transform.T @ gram[:-1, -1]
     stations = nuisance.weighing.first_rows
     remainder = max(station_chi2 - float(compressed_residual @ compressed_residual), 0.0)

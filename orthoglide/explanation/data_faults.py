@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -234,7 +235,7 @@ def _with_likelier_noise(base: Estimate, posterior: FullPosterior) -> list[_Stat
     either = [(base, posterior)]
     if squares := _smaller_noise_squares(posterior):
         with suppress(NumericsError):  # readings far off drive a fit to where no loop closes
-            smaller = fit_nested(with_smaller_noise(base.problem, squares))
+            smaller = fit_nested(with_smaller_noise(base.problem, squares), base.x)
             either.append((smaller, posterior_with_corrected_commands(smaller)))
     likelier = best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
     return [likelier] if likelier is either[0] else [likelier, either[0]]
@@ -294,17 +295,16 @@ def _find_misreading(
     other_evidence = max([other_evidence, *(posterior.evidence for _, posterior in states)])
     found = list[tuple[float, Fault | None]]()
     for base, posterior in states:
-        rows_by_setup = setups_to_reinterpret(base.problem, faults)
-        alternatives = [*alternative_readings(base.problem, rows_by_setup)]
+        rows = setups_to_reinterpret(base.problem, faults)
+        # Generated only if so many readings are ranked.
+        alternatives: Iterator[Fault] = alternative_readings(base.problem, rows)
         # Without dials, larger noise of a few distances or touches would hide faults of single
         # ones.
-        if rows_by_setup:
+        if rows:
             every = range(len(base.problem.setups))
-            rows_by_setup = setups_to_reinterpret(base.problem, faults, every)
-            alternatives += noisy_setups(rows_by_setup)
-        found.append(
-            likeliest_misreading(base, posterior, alternatives, rows_by_setup, other_evidence)
-        )
+            rows = setups_to_reinterpret(base.problem, faults, every)
+            alternatives = chain(alternatives, noisy_setups(rows))
+        found.append(likeliest_misreading(base, posterior, alternatives, rows, other_evidence))
     return best_of(found, lambda one: one[0], LOG_ODDS_MARGIN)[1]
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import chain, compress
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_jump
-from orthoglide.effects.free_form import FreeForm, Session, free_forms
+from orthoglide.effects.free_form import FreeForm, Session, free_forms, shared_functions
 from orthoglide.effects.kernels import BUILD_UP, Level
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
@@ -117,8 +117,8 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and these
-    errors.
+    """Return the columns ``(n, K)`` of each carrier (`shared_functions`) of the free-form errors,
+    by prior standard deviation, and all of these errors.
 
     Readings under equal conditions have equal columns, except of errors that depend on time or on
     the reading before. With ``first``, only the columns of these have all rows; all other columns
@@ -143,13 +143,14 @@ def free_form_columns(
         errors += tuple(_jump_candidates(problem, x, residual, sudden, fitted))
     if not (problem.leg_factors or paired):
         errors += tuple(_bump_candidates(problem, x, residual, fitted))
+    carriers = shared_functions(errors).carriers
     if first is None or len(first) == len(residual):
-        return _columns_of_factors(problem, x, errors, problem.factors), errors
+        return _columns_of_factors(problem, x, carriers, problem.factors), errors
     parts = [first[(first >= p.start) & (first < p.stop)] - p.start for p in problem.factor_rows]
     few = [factor.subset(rows) for factor, rows in zip(problem.factors, parts, strict=True)]
-    needs_all_rows = [error.against in ("time", "reversal") for error in errors]
+    needs_all_rows = [error.against in ("time", "reversal") for error in carriers]
     blocks = {
-        every: _columns_of_factors(problem, x, [*compress(errors, selected)], factors)
+        every: _columns_of_factors(problem, x, [*compress(carriers, selected)], factors)
         for every, factors, selected in (
             (True, problem.factors, needs_all_rows), (False, few, np.logical_not(needs_all_rows))
         )
@@ -165,7 +166,7 @@ def _columns_of_factors(
     by_factor = [free_form_columns_of_factor(factor, model, problem.values(k, x), errors)
             for k, factor in enumerate(factors)]  # fmt: skip
     for rows in zip(*by_factor, strict=True):
-        yield np.vstack(rows)
+        yield rows[0] if len(rows) == 1 else np.vstack(rows)  # without a copy
 
 
 def _jump_candidates(
@@ -288,13 +289,14 @@ def free_form_columns_of_factor(
         built_up = factor.readings.built_up([half * length for length in BUILD_UP.lengths])
         legs = tuple(replace(c, built_up=tuple(built_up[:, :, k])) for k, c in enumerate(legs))
     for error in errors:
-        rows: Any = 0.0
+        parts = list[Array]()
         for leg in [error.leg] if error.leg >= 0 else range(len(LEGS)):
-            functions = error.prior_sd * np.stack(error.functions(legs[leg]), axis=1)
-            rows = rows + response(_joint_shares(error, leg), functions)
+            functions = np.stack(error.functions(legs[leg]), axis=1)
+            parts.append(response(error.prior_sd * _joint_shares(error, leg), functions))
             if error.moves_bar_ends and factor.on_legs:
-                rows += _carriage_shift_at_dials(error, factor.readings)[:, None] * functions
-        yield rows
+                shift = error.prior_sd * _carriage_shift_at_dials(error, factor.readings)
+                parts[-1] += shift[:, None] * functions
+        yield reduce(np.add, parts)
 
 
 def plate_shape_columns(problem: Problem) -> tuple[Array, Array]:

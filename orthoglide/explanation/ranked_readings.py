@@ -48,9 +48,9 @@ BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1
 all its tolerances, and one with free-form errors everywhere."""
 
 
-def fit_nested(problem: Problem) -> Estimate:
-    """Return the fit of readings that are still in doubt, with their priors as they stand."""
-    return solve(problem, method="nested", widen=False)
+def fit_nested(problem: Problem, start: Array | None = None) -> Estimate:
+    """Return the fit of readings in doubt, with priors as they stand; ``start``: ``(P,)``, SI."""
+    return solve(problem, method="nested", start=start, widen=False)
 
 
 def likeliest_misreading(

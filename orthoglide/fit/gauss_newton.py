@@ -14,7 +14,6 @@ from orthoglide.fit.least_squares import (
     Nuisances,
     linearise,
     normal_equations,
-    predict,
 )
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
@@ -65,7 +64,7 @@ def solve_nested(
         stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * rms)
         if size <= _STEP_TOLERANCE or stalled:
             return linear, iteration
-        linear = linearise(problem, _line_search(problem, nuisance, equations, step))
+        linear = _line_search(problem, nuisance, equations, step)
         previous, cost = size, equations.cost
     raise SolverError(
         f"the fit did not converge in {_MAX_STEPS} steps (the last was {size:.2g} sigma): free "
@@ -98,9 +97,9 @@ def _newton_step(
 
 def _line_search(
     problem: Problem, nuisance: Nuisances, equations: NormalEquations, step: Array
-) -> Array:
-    """Return the first unknowns along a step, halved up to 30 times and cut at the bounds, at which
-    the cost does not rise beyond rounding; else unknowns that practically are the start.
+) -> Linearised:
+    """Return the linearisation at the first unknowns along a step, halved up to 30 times and cut at
+    the bounds, at which the cost does not rise beyond rounding; else practically at the start.
     """
     allowed = equations.cost + _COST_TOLERANCE * max(equations.cost, 1.0)
     # No unknown moves by more than its bound in one step.
@@ -108,8 +107,10 @@ def _line_search(
     for _ in range(30):
         x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
         with suppress(NumericsError, UnreachableError):
-            residual = nuisance.project(problem.measured - predict(problem, x))
+            linear = linearise(problem, x)  # seldom refused, so its derivatives are seldom wasted
+            residual = nuisance.project(problem.measured - linear.value)
             if float(residual @ residual) + equations.prior_chi2(x) <= allowed:
-                return x
+                return linear
         factor /= 2
-    return np.asarray(np.clip(equations.x + factor * step, -problem.bound, problem.bound))
+    x = np.clip(equations.x + factor * step, -problem.bound, problem.bound)
+    return linearise(problem, x)

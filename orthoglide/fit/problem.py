@@ -131,7 +131,7 @@ class Problem:
         """
         return np.concatenate([f.noise.common for f in self.factors])
 
-    @property
+    @cached_property
     def reading_sd(self) -> Array:
         """Standard deviation of each reading, its rounding counted ``(n,)``, metres or radians."""
         return np.hypot(self.sigma, self.shared_rounding_sd)

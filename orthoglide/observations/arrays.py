@@ -47,10 +47,16 @@ READING_ARRAYS: Mapping[str, ArraySpec] = {
 def group_ids(table: Array | Ints) -> Ints:
     """Return an index from 0 for each distinct row of a table, or distinct entry ``(n,)``."""
     ids = np.zeros(len(table), dtype=np.int64)
+    count = 1
     for column in np.atleast_2d(np.transpose(table)):
+        if count == len(ids):
+            break  # all rows differ
         if (column != column[:1]).any():  # constant columns do not count; columns sort faster
             values, inverse = np.unique(column, return_inverse=True)
-            ids = np.unique(ids * len(values) + inverse, return_inverse=True)[1]
+            if count > 1:
+                pairs = ids * len(values) + inverse
+                values, inverse = np.unique(pairs, return_inverse=True)
+            ids, count = inverse, len(values)
     return ids
 
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.instruments import POSE_SIZE, InstrumentPose, Mounted
-from orthoglide.mechanism.engine import Outputs
 from orthoglide.mechanism.rows import blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
@@ -159,11 +159,8 @@ class MeasurementModel:
         column = {name: k for k, name in enumerate(names)}
         of_machine = [n for n in names if n in model.displacement_model.parameter_index]
 
-        def differentiate(conditions: Conditions) -> tuple[Outputs, Array]:
-            return model.sensitivities(values, conditions, of_machine)
-
         merged = self.postures(model, [*values, *names])
-        found = self._derivatives(model, values, merged, len(of_machine), differentiate)
+        found = self._derivatives(model, values, merged, of_machine)
         found.by_first[self.paired] += found.by_second
         jacobian, setup = np.zeros((len(self.readings), len(names))), self.readings.setup
         jacobian[:, [column[name] for name in of_machine]] = found.by_first
@@ -177,13 +174,8 @@ class MeasurementModel:
 
     def joint_response(self, model: MovedMechanism, values: Mapping[str, float]) -> JointResponse:
         """Return the response of the readings to virtual joints that move with the conditions."""
-
-        def differentiate(conditions: Conditions) -> tuple[Outputs, Array]:
-            outputs, tangent = model.tangent(values, conditions)
-            return outputs, tangent[:, :, tangent.shape[2] - JOINT_COUNT :]
-
         merged, n = self.postures(model, values), len(self.readings)
-        found = self._derivatives(model, values, merged, JOINT_COUNT, differentiate)
+        found = self._derivatives(model, values, merged, None)
 
         def follow(joints: Array, functions: Array) -> Array:
             response = (found.by_first @ joints)[:, None] * functions[:n]
@@ -213,26 +205,27 @@ class MeasurementModel:
         model: MovedMechanism,
         values: Mapping[str, float],
         merged: tuple[Conditions, NDArray[np.intp]],
-        count: int,
-        differentiate: Callable[[Conditions], tuple[Outputs, Array]],
+        names: Sequence[str] | None,
     ) -> _Derivatives:
         """Return the readings and their derivatives, computed in blocks of rows.
+
+        The derivative of a reading is multiplied by that of its posture first, one row by a matrix.
 
         Args:
             model: of the machine.
             values: all parameters that are not zero, SI.
             merged: as :meth:`postures` returns it.
-            count: number ``P`` of the quantities that move the postures.
-            differentiate: from conditions ``(k,)`` to the outputs of their postures, and the
-                derivative of these by the quantities ``(k, 48, P)``.
+            names: of the machine's parameters to differentiate by; ``None``: by the virtual joints.
         """
         (conditions, postures), kinds = merged, list(self.by_kind(model, values))
+        count = JOINT_COUNT if names is None else len(names)
         found = _Derivatives.empty(kinds, len(self.readings), len(self.paired), count)
         # Readings of a setup in equal postures and with equal numbers of the mounting, which may
         # contain the time, are predicted once.
-        mounting = np.zeros(len(self.readings), dtype=np.int64)
+        width = max((kind.mounting_values.shape[1] for kind in kinds), default=0)
+        mounting = np.zeros((len(self.readings), width))
         for kind in kinds:
-            mounting[kind.rows] = group_ids(kind.mounting_values)
+            mounting[kind.rows, : kind.mounting_values.shape[1]] = kind.mounting_values
         group = group_ids(np.column_stack([*postures, self.readings.setup, mounting]))
         chosen = np.unique(group, return_index=True)[1]
         order = np.sort(chosen)
@@ -240,7 +233,9 @@ class MeasurementModel:
         for part in blocks(len(order), _ROWS):
             rows = order[part]
             distinct, index = np.unique(postures[:, rows], return_inverse=True)
-            outputs, by_given = differentiate(conditions.subset(distinct))
+            some = conditions.subset(distinct)
+            outputs, tangent = model.tangent(values, some)
+            by_names = None if names is None else model.joint_sensitivities(values, some, names)
             first, second = index.reshape(2, -1)
             followed = first[:, None], self.first_output[rows, None] + _POSE
             pose, other = outputs.values[followed], outputs.values[second[:, None], _POSE]
@@ -254,14 +249,34 @@ class MeasurementModel:
                 found.value[rows[k]] = reading[:, 0]
                 found.poses.nuisance_jacobian[rows[k], : by_nuisance.shape[1]] = by_nuisance
                 found.by_effect[rows[k], : by_effect.shape[1]] = by_effect
-            found.by_first[rows] = (by_pose[:, None] @ by_given[followed])[:, 0]
+            found.by_first[rows] = _chained(by_pose, tangent, followed, by_names)
             _, pair, k = np.intersect1d(self.paired, rows, True, return_indices=True)
-            outputs_of_pair = by_given[second[k, None], _POSE]
-            found.by_second[pair] = (by_other[k, None] @ outputs_of_pair)[:, 0]
+            of_pair = second[k, None], _POSE
+            found.by_second[pair] = _chained(by_other[k], tangent, of_pair, by_names)
             offset = np.einsum("nij,nj->ni", outputs.R[first], self.readings.beside[rows])
             found.poses.offset_from_tool[rows] = offset
             found.poses.p[rows] = outputs.p[first] + offset
         return found.repeated(chosen[group], self.paired)
+
+
+def _chained(
+    by_pose: Array, tangent: Array, followed: tuple[Any, Any], by_names: Array | None
+) -> Array:
+    """Return derivatives of readings by the quantities that move the postures ``(n, P)``.
+
+    Args:
+        by_pose: derivatives by the pose that each reads ``(n, 12)``.
+        tangent: of the postures by travel and virtual joints ``(k, 48, 33)``.
+        followed: posture ``(n, 1)`` and outputs of each pose, which index ``tangent``.
+        by_names: of the virtual joints by parameters ``(k, 30, P)``; ``None``: by virtual joints.
+    """
+    posture, outputs = np.broadcast_arrays(*followed)
+    count = JOINT_COUNT if by_names is None else by_names.shape[2]
+    derivative = np.empty((len(by_pose), 1, count))
+    for part in blocks(len(by_pose)):  # small enough for the cache
+        by_joints = by_pose[part, None] @ tangent[posture[part], outputs[part], -JOINT_COUNT:]
+        derivative[part] = by_joints if by_names is None else by_joints @ by_names[posture[part, 0]]
+    return derivative[:, 0]
 
 
 @dataclass(frozen=True)

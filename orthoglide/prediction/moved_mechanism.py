@@ -183,18 +183,25 @@ class MovedMechanism:
         """Return poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed;
         zero by parameters of dials.
         """
-        model, theta = self.displacement_model, self.displacement_model.parameter_vector(values)
         columns = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
-        machine_parameters = [model.parameter_index[names[k]] for k in columns]
+        machine_parameters = [names[k] for k in columns]
         outputs = np.empty((len(conditions), OUTPUT_SIZE))
         by_name = np.zeros((*outputs.shape, len(names)))
         for rows in blocks(len(conditions)):  # small enough for the cache
             postures = conditions.subset(rows)
             closed, tangent = self.tangent(values, postures)
-            by_theta = model.parameter_jacobian(theta, self.condition_vectors(postures))
+            joints = self.joint_sensitivities(values, postures, machine_parameters)
             outputs[rows] = closed.values
-            by_name[rows][:, :, columns] = tangent[:, :, 3:] @ by_theta[:, :, machine_parameters]
+            by_name[rows][:, :, columns] = tangent[:, :, 3:] @ joints
         return Outputs(outputs), by_name
+
+    def joint_sensitivities(
+        self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
+    ) -> Array:
+        """Return the derivative ``(n, 30, P)`` of the virtual joints by machine parameters."""
+        model, theta = self.displacement_model, self.displacement_model.parameter_vector(values)
+        by_theta = model.parameter_jacobian(theta, self.condition_vectors(conditions))
+        return by_theta[:, :, [model.parameter_index[name] for name in names]]
 
     def needed_conditions(self, names: Iterable[str]) -> frozenset[str]:
         """Return the conditions besides the command that matter to parameters ``names``."""
