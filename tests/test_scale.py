@@ -10,6 +10,7 @@ import pytest
 import orthoglide as og
 from orthoglide.effects.free_form import shared_functions
 from orthoglide.explanation import compression, free_form, screening
+from orthoglide.explanation.columns import linearise_full_model
 from orthoglide.explanation.compression import MergedRows
 from orthoglide.observations.arrays import equal_rows
 from orthoglide.prediction import MeasurementModel, measurement_model
@@ -71,6 +72,28 @@ def test_few_directions_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in one.after.values.items():
         half = 0.1 * one.after.sigmas[name]
         assert other.after.values[name] == pytest.approx(value, abs=half + 1e-9), name
+
+
+def test_evidence_counts_the_scatter_of_visits_to_a_station(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As that of readings that are not compressed: evidences of other noise are compared."""
+    once, rounds = measured(), np.repeat(np.arange(5), len(measured()))
+    often = once.subset(np.tile(np.arange(len(once)), 5))
+    scatter = 5e-6 * np.random.default_rng(0).standard_normal(len(often))
+    number = np.arange(len(often))
+    often = replace(
+        often, reading=often.reading + scatter, repeat=often.repeat + 3 * rounds, order=number,
+        line=number + 2, time=np.full(len(often), np.nan),
+    )  # fmt: skip
+    fit = og.identify(often, MACHINE)
+    models = [linearise_full_model(fit)]
+    monkeypatch.setattr(compression, "COMPRESSION_THRESHOLD", 10)
+    models.append(linearise_full_model(fit))
+    remainder = [model.linear.station_remainder.chi2 for model in models]
+    explained = [model.linear.residual @ model.linear.residual for model in models]
+    one, other = np.add(remainder, explained) + [m.unexplainable_chi2 for m in models]
+    assert other == pytest.approx(one, abs=1e-3)
 
 
 def test_equal_rows_are_stored_once() -> None:

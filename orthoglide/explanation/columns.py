@@ -307,19 +307,20 @@ def _scaled_columns(
     plate_block, plate_sd = plate_shape_columns(full_problem)
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
-    _, number, factor = shared_functions(machine_errors)
     rows = MergedRows((), index).beside([linearised.jacobian * sd])
-    rows = rows.beside(machine_blocks, (number, factor)).beside([*dial_blocks, plate_block])
-    return rows, units, errors, len(plate_sd)
+    rows = rows.beside(machine_blocks, shared_functions(machine_errors)[1:])
+    return rows.beside([*dial_blocks, plate_block]), units, errors, len(plate_sd)
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:
     """Return the model with a group for each data fault, in directions that a group can move."""
     if suspects:
         model = _with_fault_groups(model, suspects)
-    linear, compact = model.linear, drop_unseen_directions(model.linear)
-    unexplainable = float(linear.residual @ linear.residual - compact.residual @ compact.residual)
-    return replace(model, linear=compact, unexplainable_chi2=unexplainable)
+    compact, (_, target) = drop_unseen_directions(model.linear), model.prior_rows
+    residual = model.nuisance.project(model.problem.measured - model.value_at_zero)
+    chi2 = residual @ residual + target @ target - compact.residual @ compact.residual
+    others = float(chi2 - compact.station_remainder.chi2)
+    return replace(model, linear=compact, unexplainable_chi2=others)
 
 
 def _with_fault_groups(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:

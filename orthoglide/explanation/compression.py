@@ -27,8 +27,9 @@ from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 
-COMPRESSION_THRESHOLD = 5000
-"""Number of readings above which they are compressed: with 2000 columns they take 80 MB."""
+COMPRESSION_THRESHOLD = 1500
+"""Number of readings above which they are compressed: their squares are more numbers than data
+faults are screened with densely, which needs the readings as they are."""
 
 MOST_RANKED_READINGS = 10_000
 """Number of readings up to which misreadings are ranked, for which all columns are kept by reading:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from orthoglide.explanation.compression import MergedRows
+from orthoglide.explanation.compression import COMPRESSION_THRESHOLD, MergedRows
 from orthoglide.explanation.fault_columns import FaultColumns, FaultFamily
 from orthoglide.explanation.linear_model import SLAB_SCALES, LinearModel
 from orthoglide.explanation.search import explained_by_group
@@ -73,7 +73,7 @@ class Screening:
         columns, whitened_residual = self.linear.columns, self.linear.residual
         n = len(self.residual)
         ends = np.cumsum([family.columns[:, 0].size for family in self.families])
-        if dense := n * ends[-1] <= _MOST_DENSE_NUMBERS:
+        if dense := n <= COMPRESSION_THRESHOLD and n * ends[-1] <= _MOST_DENSE_NUMBERS:
             full_columns = np.hstack([f.full_columns(n) for each in self.families for f in each])
             faults = self.nuisance.project(full_columns)
             faults = np.pad(faults, [(0, len(columns) - len(faults)), (0, 0)])
