@@ -1,4 +1,4 @@
-"""Free-form errors at one travel or one moment alone, and free-form errors by name."""
+"""Free-form errors at one travel or one moment alone, waves of one period, and errors by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from itertools import chain, product
 from orthoglide.effects.catalogue import Catalogue
 from orthoglide.effects.free_form import FreeForm, Session, free_forms, scaled_to_machine
 from orthoglide.effects.free_form_place import Part, Range
-from orthoglide.effects.kernels import Bump, Step
+from orthoglide.effects.kernels import Bump, Step, Wave
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LegNames
 
@@ -50,6 +50,12 @@ def with_jump(form: FreeForm, jump: Range, stroke: Range) -> FreeForm:
     low, high = (2 * (at - start) / (end - start) - 1 for at in jump)
     least = None if form.against == "time" else 2 * _MIN_STEP_WIDTH * form.prior_sd / (end - start)
     return replace(form, kernel=Step(low, high, least), jump=jump)
+
+
+def with_period(form: FreeForm, period: float, stroke: Range) -> FreeForm:
+    """Return a free-form error with a wave of one period, metres, in place of its short waves."""
+    period = round(period, 7)  # as its name has it
+    return replace(form, kernel=Wave((stroke[1] - stroke[0]) / period), period=period)
 
 
 _BUMP_WIDTHS: dict[Part, tuple[float, ...]] = {"drive": (0.008,), "rail": (0.008, 0.016, 0.032)}
@@ -126,6 +132,14 @@ def _bump_travel(effects: Iterable[str]) -> set[float]:
     return {_travel(match[1]) for match in matches if match}
 
 
+def _waves(effects: Iterable[str], forms: Iterable[FreeForm], stroke: Range) -> Iterator[FreeForm]:
+    """Yield the waves of one period among names of effects; see `FreeForm.name`."""
+    for form, name in product(forms, sorted(effects)):
+        match = re.fullmatch(rf"{form.effect.name}_(\d+_\d{{4}})", name)
+        if match and form.short_waves and (period := _travel(match[1])):
+            yield with_period(form, period, stroke)
+
+
 def _jumps(effects: Iterable[str], forms: Iterable[FreeForm], stroke: Range) -> Iterator[FreeForm]:
     """Yield the jumps of free-form errors among names of effects; see `FreeForm.name`."""
     for form, name in product(chain(*map(jumping, forms)), sorted(effects)):
@@ -147,5 +161,7 @@ def with_free_forms(catalogue: Catalogue, names: Iterable[str], geometry: Geomet
     machine = catalogue.legs, geometry.stroke, geometry.scale
     forms = free_forms(Session(0.0, 1.0), *machine)  # a jump is the same in any session
     jumps = _jumps(wanted, forms, geometry.stroke)
-    forms = (*forms, *travel_bumps([_bump_travel(wanted)] * len(LEGS), *machine), *jumps)
+    waves = _waves(wanted, forms, geometry.stroke)
+    bumps = travel_bumps([_bump_travel(wanted)] * len(LEGS), *machine)
+    forms = (*forms, *bumps, *jumps, *waves)
     return catalogue.with_effects(form.effect for form in forms if form.effect.name in wanted)

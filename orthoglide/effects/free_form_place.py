@@ -6,14 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level, Step
+from orthoglide.effects.kernels import BuildUp, Bump, Kernel, Level, Step, Wave
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.numerals import compact
 
 Dependence = Literal["travel", "approach", "reversal", "command", "time", "reading"]
 Part = Literal["drive", "screw", "rail", "carriage", "bar", "platform", "dial"]
 Range = tuple[float, float]
-FreeFunctions = Kernel | BuildUp | Bump | Step | Level
+FreeFunctions = Kernel | BuildUp | Bump | Step | Level | Wave
 _UM = 1e-6
 
 
@@ -38,6 +38,7 @@ class FreeFormPlace:
     wide: float = 0.0  # standard deviation of a wide bump, metres; 0 of a narrow one
     jump: Range | None = None  # moments or travels between which it jumps; `None`: it does not
     timed: bool = True  # whether moments are seconds; else they count the readings
+    period: float | None = None  # of a wave along its travel, metres; `None`: it has no single one
     # from which it comes where it steps, with `against` `"approach"`: 1 smaller, -1 larger travel
     side: int = 0
     chance: float = 1.0  # prior weight relative to other free-form errors
@@ -76,7 +77,9 @@ class FreeFormPlace:
             return f"{self.location_key}@{self.spot.replace(' ', '')}"
         if self.is_line:
             return f"{self.location_key}-line"
-        return self.location_key.replace("/travel", "/waves" if self.short_waves else "/travel")
+        period = f"@{self.period * 1e3:.4f}" if self.period else ""
+        waves = f"/waves{period}" if self.short_waves else "/travel"
+        return self.location_key.replace("/travel", waves)
 
     @property
     def location_key(self) -> str:
@@ -94,6 +97,13 @@ class FreeFormPlace:
         return self.bump is not None or self.jump is not None
 
     @property
+    def is_variant(self) -> bool:
+        """Whether it is one of many of its part, at one place, moment or period: `chance` is its
+        whole prior weight.
+        """
+        return self.is_local or self.period is not None
+
+    @property
     def is_line(self) -> bool:
         """Whether it is proportional to its variable, as one shape of a wider free function."""
         return isinstance(self.kernel, Kernel) and self.kernel.waves == 0
@@ -106,7 +116,7 @@ class FreeFormPlace:
     @property
     def only_if_active(self) -> bool:
         """Whether it is no part of the background, whose smooth functions contain such shapes."""
-        return self.jump is not None or self.wide > 0 or self.is_line
+        return any((self.jump, self.wide, self.period, self.is_line))
 
     @property
     def is_rotation(self) -> bool:

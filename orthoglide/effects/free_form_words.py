@@ -97,6 +97,8 @@ def _travel_words(form: FreeFormPlace) -> str:
         return f"{reach} travel {compact(form.bump * 1e3, 3)} mm and nowhere else"
     if form.jump is not None:
         return "between travel {} and {} mm".format(*form.travels_of_step)
+    if form.period is not None:
+        return f"in waves of {compact(form.period * 1e3, 3)} mm along its travel"
     return "in short waves along its travel" if form.short_waves else "depending on its travel"
 
 

@@ -147,11 +147,27 @@ class BuildUp:
         return [0.5 - np.exp(-(u + 1) / length) for length in self.lengths[which]]
 
 
+@dataclass(frozen=True)
+class Wave:
+    """A wave of one period: a sine and a cosine of unit height."""
+
+    cycles: float  # over the variable's range
+    count = 2
+
+    def functions(self, u: Any, which: slice = slice(None)) -> list[Any]:
+        """The sine and the cosine."""
+        phase = np.pi * self.cycles * u
+        return [sin(phase), sin(phase + np.pi / 2)][which]
+
+
+_SAMPLES_PER_CYCLE = 12
 _BUMP_WIDTHS = 3.0  # from the centre of a bump, beyond which a hundredth of it is left
 
 
-def sample_points(kernel: Kernel | BuildUp | Bump | Step | Level, fine: bool) -> Array:
+def sample_points(kernel: Kernel | BuildUp | Bump | Step | Level | Wave, fine: bool) -> Array:
     """Return values of the variable ``(n,)`` that show the functions; ``fine``: of short waves."""
+    if isinstance(kernel, Wave):
+        return np.linspace(-1, 1, 1 + math.ceil(_SAMPLES_PER_CYCLE * kernel.cycles))
     if isinstance(kernel, Bump):
         return kernel.centre + kernel.width * np.linspace(-_BUMP_WIDTHS, _BUMP_WIDTHS, 41)
     u = np.linspace(-1, 1, 2 * kernel.count + 1 if fine else 41)

@@ -204,11 +204,11 @@ def build_groups(
         effect = catalogue[cause.effect]
         unit = _DIAL_SCALE if effect.of_dial and not effect.of_body else 1.0
         groups.append(_cause_group(cause, rows, unit))
-    form_counts = Counter(error.location_key for error in free_form_errors if not error.is_local)
+    form_counts = Counter(e.location_key for e in free_form_errors if not e.is_variant)
     spans = coefficient_spans(free_form_errors, len(names))
     for error, (name, span) in zip(free_form_errors, spans.items(), strict=True):
         if np.linalg.norm(columns[:, span]) > _LEAST_SIGNAL:
-            forms = 1 if error.is_local else form_counts[error.location_key]
+            forms = 1 if error.is_variant else form_counts[error.location_key]
             prior = FREE_FORM_PRIOR * error.chance / forms
             group = identity_group(name, span, free_form=True, relative_prior=prior, source=error)
             groups.append(group)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
@@ -130,6 +130,30 @@ def curve_of(
         place=error,
         coefficients=mean,
     )
+
+
+def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -> Curve:
+    """Return the curve of a wave, averaged over all periods that it may have in the place of an
+    active group: their differences belong to its standard deviation. Other curves stay.
+    """
+    if curve.place.period is None:
+        return curve
+    odds, u = posterior.alternatives.probabilities(member), curve.place.sampled[0]
+    key = curve.place.location_key
+    weights, values, variances = list[float](), list[Array](), list[Array]()
+    for k, group in enumerate(posterior.mixture.linear.groups):
+        wave, index = group.source, group.coefficients
+        if group.free_form and odds[k] > 0 and wave.period and wave.location_key == key:
+            mean, covariance = posterior.alternatives.moments(member, k, index)
+            functions = wave.prior_sd * np.stack(wave.kernel.functions(u), axis=1)
+            functions -= functions.mean(axis=0)
+            weights.append(float(odds[k]))
+            values.append(functions @ mean[index])
+            variances.append(np.einsum("ki,ij,kj->k", functions, covariance, functions))
+    share = np.array(weights) / sum(weights)
+    value = share @ np.stack(values)
+    variance = share @ (np.stack(variances) + (np.stack(values) - value) ** 2)
+    return replace(curve, value=value, sigma=np.sqrt(np.maximum(variance, 0.0)))
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:

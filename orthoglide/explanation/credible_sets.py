@@ -23,6 +23,7 @@ from orthoglide.explanation.candidates import Candidate
 from orthoglide.explanation.causes import (
     CREDIBLE,
     CredibleSets,
+    averaged_over_periods,
     curve_of,
     far_base_causes,
     pool_variants,
@@ -360,6 +361,7 @@ class _CredibleSetReader:
                 mean, covariance = self.posterior.alternatives.moments(member, k, index)
                 error = self.groups[k].source
                 curve = curve_of(error, probability, stroke, mean[index], covariance)
+                curve = averaged_over_periods(curve, self.posterior, member)
                 curves.append(replace(curve, description=curve.description + ranges.get(k, "")))
         return tuple(curves)
 

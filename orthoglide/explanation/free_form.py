@@ -10,9 +10,9 @@ from itertools import chain, compress
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_jump
+from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_jump, with_period
 from orthoglide.effects.free_form import FreeForm, Session, free_forms, shared_functions
-from orthoglide.effects.kernels import BUILD_UP, Level
+from orthoglide.effects.kernels import BUILD_UP, Level, Wave
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
 from orthoglide.fit.excitation import axes_approached_from_both_sides
@@ -31,6 +31,12 @@ _LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer ar
 _MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
 _MOST_JUMPS = 8  # for each part, at the moments that explain most: 16 changed no result
 _LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
+_LEAST_WAVE = 5e-3  # metres: shortest period of a wave, the smallest common lead of a screw
+_LEAST_CYCLES = 2.0  # over the stroke: a longer wave is a curve
+_CYCLE_STEP = 0.1  # between the periods that are tried: a tenth of a peak's width
+_LEAST_CYCLE_DISTANCE = 0.002  # of two frequencies: an eightieth of a radian at the ends
+_LEAST_WAVE_STATIONS = 6  # travels: fewer fit any wave with its level and a slope
+_MOST_WAVES = 3  # for each part, of the periods that explain most
 _DECIMALS = 4  # of travels, metres, and of moments, seconds, that count as different
 _LEAST_SIGNAL = 0.1  # sigmas: less adds under a hundredth to the chi2 of a reading
 
@@ -143,6 +149,9 @@ def free_form_columns(
         errors += tuple(_jump_candidates(problem, x, residual, sudden, fitted))
     if not (problem.leg_factors or paired):
         errors += tuple(_bump_candidates(problem, x, residual, fitted))
+    if not paired:
+        waves = [error for error in errors if error.short_waves]
+        errors += tuple(_wave_candidates(problem, x, residual, waves, fitted))
     carriers = shared_functions(errors).carriers
     if first is None or len(first) == len(residual):
         return _columns_of_factors(problem, x, carriers, problem.factors), errors
@@ -255,6 +264,61 @@ def _bump_candidates(
         for k in descending(gain, LOG_ODDS_MARGIN)[:_MOST_BUMPS]:
             if gain[k] > 0:
                 yield of_part[k]
+
+
+def _wave_candidates(
+    problem: Problem, x: Array, residual: Array, errors: Sequence[FreeForm], fitted: Array
+) -> Iterator[FreeForm]:
+    """Yield waves of one period in place of short waves, at the periods that explain most of the
+    residuals; see `_jump_candidates`.
+
+    All frequencies are equally likely beforehand.
+    """
+    geometry = problem.machine.geometry
+    cycles = np.arange(_LEAST_CYCLES, np.ptp(geometry.stroke) / _LEAST_WAVE, _CYCLE_STEP)
+    levels = [replace(error, kernel=Level()) for error in errors]
+    whitened = project_out(fitted, residual / problem.sigma)[:, None]
+    for error, rows in zip(
+        errors, _columns_of_factors(problem, x, levels, problem.factors), strict=True
+    ):
+        level = rows / problem.sigma[:, None]
+        travels = _moments_or_travels(problem, error).round(6)
+        travel, number = np.unique(travels, return_inverse=True)
+        of_travel = np.zeros((len(travel), 2 + fitted.shape[1]))
+        np.add.at(of_travel, number, level * np.hstack([level, whitened, fitted]))
+        if not len(cycles) or np.sum(of_travel[:, 0] > _LEAST_SIGNAL**2) < _LEAST_WAVE_STATIONS:
+            continue
+        u = 2 * (travel - geometry.stroke[0]) / np.ptp(geometry.stroke) - 1
+        gain = _wave_gain(cycles, u, of_travel)
+        before, after = (np.concatenate([a, gain, b]) for a, b in (([0, 0], []), ([], [0, 0])))
+        peaks = (gain > before[1:-1]) & (gain >= after[1:-1]) & (gain > 2 * np.log(len(cycles)))
+        for k in descending(np.where(peaks, gain, 0.0), LOG_ODDS_MARGIN)[:_MOST_WAVES]:
+            if peaks[k]:
+                near = cycles[k] + _CYCLE_STEP * np.linspace(-1, 1, 41)
+                best = near[np.argmax(_wave_gain(near, u, of_travel))]
+                about = _wave_gain(best + _CYCLE_STEP * np.array([-0.2, 0, 0.2]), u, of_travel)
+                curvature = max(-np.diff(about, 2)[0], 1e-300) / (0.2 * _CYCLE_STEP) ** 2
+                step = min(max(1.5 * np.sqrt(2 / curvature), _LEAST_CYCLE_DISTANCE), _CYCLE_STEP)
+                for one in best + step * np.arange(-2, 3):  # three sigma either way
+                    wave = with_period(error, np.ptp(geometry.stroke) / one, geometry.stroke)
+                    yield replace(wave, chance=error.chance * step / np.ptp(cycles))
+
+
+def _wave_gain(cycles: Array, u: Array, of_travel: Array) -> Array:
+    """Return the chi2 that waves explain beside all that is fitted ``(k,)``; see `_chi2_gain`.
+
+    Args:
+        cycles: over the stroke ``(k,)``.
+        u: travels, from -1 to 1 over the stroke ``(t,)``.
+        of_travel: sums over the readings at a travel ``(t, 2 + q)`` of a level's column times
+            itself, the residual and the fitted columns, all in sigmas.
+    """
+    waves = np.stack(Wave(1.0).functions(cycles[:, None] * u), axis=1)  # (k, 2, t)
+    squares = (waves * of_travel[:, 0]) @ waves.swapaxes(1, 2)
+    products, components = np.split(waves @ of_travel[:, 1:], [1], axis=2)
+    remaining = squares - components @ components.swapaxes(1, 2)
+    remaining[:, [0, 1], [0, 1]] += _LEAST_SIGNAL**2
+    return np.asarray(np.sum(products * np.linalg.solve(remaining, products), axis=(1, 2)))
 
 
 def _chi2_gain(products: Array, squares: Array, components: Array) -> Array:
