@@ -240,6 +240,17 @@ def test_what_most_probably_decides_is_asked_for_first() -> None:
     assert "rail_tilt.tangential.common" not in left
 
 
+def test_a_tower_almost_two_degrees_out_of_plumb_is_that_tower() -> None:
+    """Sizes beyond six tolerances were left out of a credible set, whatever their probability: all
+    towers were named instead, with 0.06.
+    """
+    rig, rng = DeltaRig(errors={"rail_tilt.c.tangential": 0.03}), np.random.default_rng(8)
+    readings = measured(rig, rng, machine=nominal(), instrument="mesh, distances")
+    (cause,) = studied([readings], nominal()).effects
+    assert cause.name == "rail_tilt.c.tangential"
+    assert cause.chosen.value == pytest.approx(0.03, abs=0.003)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_saddle_is_the_plate_and_not_the_hinges(seed: int) -> None:
     """Turned hinges and short links of different widths were named with up to 0.8, and a saddle

@@ -202,17 +202,14 @@ class _CredibleSetReader:
         self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str]
     ) -> Cause:
         """Return the credible set of a cause with a name, from its groups and probabilities."""
-        explanations, unit_of = list[Explanation](), dict[str, float]()
+        explanations = list[Explanation]()
         for k, p in odds:
             if self.groups[k].free_form:
                 continue
             moments = self.posterior.alternatives.moments(member, k, self.groups[k].coefficients)
             explanations.append(self._explain(k, p, *moments))
-            unit_of[explanations[-1].name] = self.groups[k].unit
         merged = merge_families(explanations)
-        # Beyond the widest slab the linearisation fails, and no machine is that far off.
-        possible = [e for e in merged if self._is_possible(e, unit_of[e.name])]
-        first, *others = [twin for e in possible or merged for twin in self._twins(e)]
+        first, *others = [twin for e in merged for twin in self._twins(e)]
         same, rivals = list[Explanation](), list[Explanation]()
         for other in others:
             if other.exceeds_uncertainty:
@@ -278,12 +275,6 @@ class _CredibleSetReader:
             self.posterior.machine.catalogue,  # which includes free-form errors
             self.posterior.machine_values(mean),
         )
-
-    def _is_possible(self, explanation: Explanation, unit: float) -> bool:
-        """True if all parameters lie within twice the widest slab, at least that of a part."""
-        tolerance = self.posterior.linearised.problem.machine.tolerance
-        limit = 2 * max(self.posterior.mixture.linear.slab_scales) * max(unit, 1.0)
-        return all(abs(v) <= limit * tolerance(n) for n, v in explanation.values.items())
 
     def _is_parameter(self, name: str, setups: Sequence[str]) -> bool:
         try:
