@@ -427,6 +427,25 @@ def test_distances_in_another_unit_are_told_so(tmp_path: Path) -> None:
     assert "they are 0.101 times as long as their positions are apart: look at their unit" in told
 
 
+@pytest.mark.parametrize(
+    ("slipped", "by", "kept"),
+    [(5, 9.0, (0, 4, 5, 6, 8, 11)), (1, -9.0, (0, 1, 2, 9, 10, 11))],
+)
+def test_a_slip_of_many_millimetres_among_few_distances_is_told(
+    slipped: int, by: float, kept: tuple[int, ...], tmp_path: Path
+) -> None:
+    """It drove the fit to arms 24 mm longer, where it was none of the readings' or another's."""
+    text = (FIELD / "sound-with-distances" / "printer.cfg").read_text()
+    for k in {*range(12)} - {*kept}:
+        text = re.sub(rf"#\*# distance{k}(_pos[12])? = .*\n", "", text)
+    text = re.sub(rf"(distance{slipped} = )(\S+)", lambda m: f"{m[1]}{float(m[2]) + by:.3f}", text)
+    found = imported(tmp_path, text)
+    (fault,) = studied(list(found.campaigns), og.Machine(found.machine)).blunders
+    assert fault.kind == "outlier"
+    ((_, row),) = fault.rows_in_request
+    assert found.campaigns[0].posture[row] == str(slipped)
+
+
 OTHER = FIELD / "other-firmware-words"
 
 

@@ -5,15 +5,15 @@ The readings are linearised at the posterior mean, repeatedly until the mean is 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from orthoglide.errors import ClosureError, NumericsError, SolverError
+from orthoglide.errors import NumericsError, SolverError
 from orthoglide.explanation.alternatives import Alternatives
+from orthoglide.explanation.base_fit import closure_explained, exceeded_limits, fits_without_a_slip
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_exact_size, with_faults_corrected
 from orthoglide.explanation.fault_columns import FaultKey
@@ -232,7 +232,7 @@ class FullPosterior:
         estimate = make_estimate(problem, nuisances(problem, fit.reading_poses), fit, "posterior",
                                  len(mixture.children), linearised.linearisation_error)  # fmt: skip
         # Base parameters that could be wrong in place of the reported causes.
-        instead = [] if self.alternative is None else _exceeded_limits(self.alternative)
+        instead = [] if self.alternative is None else exceeded_limits(self.alternative)
         text = "these readings fit as well if {}: measure it"
         notes = [Note(text.format(clause), "instead") for clause in instead]
         covariance = self.covariance[:count, :count] * units[:count] * units[:count, None]
@@ -255,8 +255,15 @@ class FullPosterior:
 
 
 def posterior_at_base_fit(before: Estimate) -> FullPosterior:
-    """Return the posterior of the full model, linearised at the fit of the base."""
-    return _posterior_at(before, (), suspected_faults=True)
+    """Return the posterior of the full model, linearised at the fit of the base, or of all readings
+    but one if the linearisation is then better.
+    """
+    posterior = _posterior_at(before, (), suspected_faults=True)
+    if posterior.linearised.linearisation_error < _NOT_LINEAR:
+        return posterior
+    starts = fits_without_a_slip(before, posterior.mixture)
+    others = [_posterior_at(start, (), suspected_faults=True) for start in starts]
+    return best_of((posterior, *others), lambda p: -p.linearised.linearisation_error)
 
 
 def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
@@ -265,7 +272,7 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
     The base is fitted again after each correction, until the corrections are stationary.
     """
     corrected = dict[str, Fault]()
-    with _closure_explained(before):
+    with closure_explained(before):
         posterior = posterior_at_base_fit(before)
         for _ in range(_LINEARISATIONS):
             wrong = posterior.wrong_commands(before.problem)
@@ -347,7 +354,7 @@ def _converge(
     """Return the posterior linearised at its mean, from ``previous``, or from its active groups if
     it is of another fit or causes are given.
     """
-    with _closure_explained(before):
+    with closure_explained(before):
         usable = previous is not None and previous.before is before and not given
         first = previous if usable else None
         best = posterior = first or _posterior_at(before, given, previous, (), fault_keys)
@@ -377,24 +384,3 @@ def _posterior_at(
     if more := linearised.with_hidden_faults(mixture.machine_slab_root):
         linearised, mixture = more, Mixture(more.linear, given, mixture.active_groups)
     return FullPosterior(before, linearised.at_mean(mixture.mean, mixture.likely_groups), mixture)
-
-
-@contextmanager
-def _closure_explained(before: Estimate) -> Iterator[None]:
-    """Replace an error of closure by a message that says why, and what to do."""
-    try:
-        yield
-    except ClosureError as error:
-        limits = "; ".join(_exceeded_limits(before))
-        raise SolverError(
-            f"the identified machine does not reach all of its stroke: {limits}: correct these in "
-            "the controller or on the machine, or give a shorter stroke in the machine file"
-            if limits
-            else "the identified machine does not close: the readings, or their units, are not "
-            "those of this machine"
-        ) from error
-
-
-def _exceeded_limits(estimate: Estimate) -> list[str]:
-    """Return a clause for each base parameter that is far beyond its tolerance."""
-    return [note.partition(":")[0] for note in tolerance_notes(estimate, sigmas=0.0)]
