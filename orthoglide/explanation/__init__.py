@@ -24,6 +24,7 @@ Search and posterior
     pairs                 the likeliest pairs of causes
     search                states of active groups by their evidence
     mixture               means, covariances and probabilities over the states
+    base_fit              where readings are linearised, without a slip that drives it far off
     full_posterior        the posterior, linearised at its mean until that is stationary
     alternatives          alternatives to each active group
 
@@ -31,6 +32,7 @@ Data faults and changes
     assumed_noise         the noise that is assumed, tested by repeats
     alternative_readings  signs, units, labels, shifts: other data that the readings may be
     full_likelihood       their likelihood over wide backgrounds
+    overstated_noise      smaller noise than assumed, where it is likelier
     hand_turns            whole turns of a dial's hand, which depend on a fit
     ranked_readings       the likeliest of all these; the check of levels
     credible_faults       which data faults are certain, and which may be a cause

@@ -24,7 +24,6 @@ from orthoglide.explanation.assumed_noise import (
     find_scattered_setups,
     outlying_repeats,
     with_noise_reestimated,
-    with_smaller_noise,
 )
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
@@ -46,9 +45,9 @@ from orthoglide.explanation.full_posterior import (
     posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
+from orthoglide.explanation.overstated_noise import State, with_likelier_noise
 from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.fit.reading_tables import row_indices
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
@@ -64,17 +63,6 @@ _ROUNDS = 6
 _MOST_SLIPS = 0.25
 """Share of the readings of one kind that may be slips. People misread one reading in fifty: if more
 than a quarter disagrees with the others, the model is wrong or the commands are."""
-
-_SCATTERED_REPEATS = 0.5
-"""Ratio of the expected squared noise to that of repeats below which a fault may have set them
-apart. By chance, ten repeats scatter twice as much in 3 of 100 campaigns."""
-
-_OVERSTATED_NOISE = 0.25
-"""Chi2 per degree of freedom below which the declared noise is at least twice too large."""
-
-
-_State = tuple[Estimate, FullPosterior]
-"""A fit of the base model, and its posterior."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +102,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
         first = posterior_with_corrected_commands(base)
-        states = _with_likelier_noise(base, first)
+        states = with_likelier_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
@@ -228,49 +216,6 @@ def _fault_notes(problem: Problem, found: CredibleFaults) -> Iterator[Note]:
         )
 
 
-def _with_likelier_noise(base: Estimate, posterior: FullPosterior) -> list[_State]:
-    """Return the fit and its posterior; before them, with smaller noise if its evidence is larger:
-    larger noise would hide a fault.
-    """
-    either = [(base, posterior)]
-    if squares := _smaller_noise_squares(posterior):
-        with suppress(NumericsError):  # readings far off drive a fit to where no loop closes
-            smaller = fit_nested(with_smaller_noise(base.problem, squares), base.x)
-            either.append((smaller, posterior_with_corrected_commands(smaller)))
-    likelier = best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
-    return [likelier] if likelier is either[0] else [likelier, either[0]]
-
-
-def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
-    """Return ratios of the squared noise to that assumed, by kind of reading, where the noise is
-    probably smaller: overstated, or that of repeats which a fault has set apart. An instrument that
-    was moved scatters at places that were read before and after.
-    """
-    if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:
-        return _noise_square_ratios(posterior)
-    usual = dict[str, float]()
-    for factor in posterior.before.problem.factors:
-        noise = factor.noise
-        ratio = np.where(factor.readings.touching, 1.0, noise.expected / noise.total)
-        for kind in dict.fromkeys(factor.readings.kind):
-            of_kind = ratio[factor.readings.of_kind(kind) & noise.weighted]
-            median = float(np.median(of_kind)) if len(of_kind) else 1.0
-            usual[kind] = min(usual.get(kind, 1.0), median**2)
-    return usual if min(usual.values()) < _SCATTERED_REPEATS else {}
-
-
-def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
-    """Return the ratio of the squared noise of the best explanation to that assumed, by kind of
-    reading, because the noise of one instrument alone may be overstated.
-    """
-    kinds = {kind for factor in posterior.before.problem.factors for kind in factor.readings.kind}
-    chi2, dof = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
-    for one in noise_scales(posterior.after):
-        chi2[one.setup.kind] += one.chi2
-        dof[one.setup.kind] += one.dof
-    return {kind: min(chi2[kind] / dof[kind], 1.0) if dof[kind] > 0 else 1.0 for kind in kinds}
-
-
 def _with_tolerance_priors(problem: Problem) -> Problem:
     """Return the problem with the tolerance as each prior's standard deviation.
 
@@ -281,7 +226,7 @@ def _with_tolerance_priors(problem: Problem) -> Problem:
 
 
 def _find_misreading(
-    states: Sequence[_State], faults: Sequence[Fault], other_evidence: float = -np.inf
+    states: Sequence[State], faults: Sequence[Fault], other_evidence: float = -np.inf
 ) -> Fault | None:
     """Return the misreading, among setups without a known one, that explains the readings clearly
     better than they stand; ``None`` if there is none.

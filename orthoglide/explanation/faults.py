@@ -202,16 +202,12 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
     count = len(fault.rows)
     match fault.kind:
         case "sign":
-            if len(setups_of(problem, fault)) > 1:
-                return (
-                    "the readings fit with the opposite sign, so these dials counted the other "
-                    "way: look at which way their hands turn, and put the opposite directions"
-                )
             other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+            whose = "the dials" if len(setups_of(problem, fault)) > 1 else "the dial"
             return (
-                f"the readings fit with the opposite sign, so the dial counted the other way: look "
+                f"the readings fit with the opposite sign, so {whose} counted the other way: look "
                 f"at which way its hand turns and put direction {other} instead of "
-                f"{setup.direction}"
+                f"{setup.direction}{', and so on' * (whose == 'the dials')}"
             )
         case "label":
             leg, axis = (LEGS[k] for k in fault.label)
