@@ -79,6 +79,29 @@ def test_the_radius_of_marlin_s_configuration(tmp_path: Path) -> None:
         import_plates(tmp_path / "Configuration.h", MACHINE)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "angles"),
+    [
+        ("m503.txt", "echo:  M665 L218.00 R100.50 H230 X-0.25 Y0.50 Z0\necho:  M666 X0 Y0 Z-1\n",
+         "209.75, 330.5, 90"),
+        ("config.g", "M574 X2 S1\nM665 R100.5 L218:218:218 B85 H230 X0.3 Y-0.2 Z0 ; sizes\n",
+         "210.3, 329.8, 90"),
+        ("Configuration.h", "#define DELTA\n#define DELTA_DIAGONAL_ROD 218.0\n#define DELTA_RADIUS "
+         "100.5\n#define DELTA_TOWER_ANGLE_TRIM { 0.1, -0.2, 0 }\n", "210.1, 329.8, 90"),
+        ("eeprom.txt", "EPR:3 881 218 Rod\nEPR:3 885 100.5 Radius\nEPR:3 901 210.1 A\n"
+         "EPR:3 905 329.9 B\nEPR:3 909 90 C\n", "210.1, 329.9, 90"),
+    ],
+)  # fmt: skip
+def test_angles_of_towers_are_named_with_the_sizes(
+    name: str, text: str, angles: str, tmp_path: Path
+) -> None:
+    """Without them the places of a printer with trims were computed for other towers."""
+    (tmp_path / name).write_text(text)
+    said = rf"L = 218, radius_mm less r_mm = 100\.5 and angles_deg = \[{angles}\],"
+    with pytest.raises(FileError, match=said):
+        import_plates(tmp_path / name, MACHINE)
+
+
 # Lists of plate points ----------------------------------------------------------------------------
 
 
