@@ -292,6 +292,7 @@ def _wave_candidates(
         gain = _wave_gain(cycles, u, of_travel)
         before, after = (np.concatenate([a, gain, b]) for a, b in (([0, 0], []), ([], [0, 0])))
         peaks = (gain > before[1:-1]) & (gain >= after[1:-1]) & (gain > 2 * np.log(len(cycles)))
+        waves = dict[str, FreeForm]()  # by name: two trial periods may lead to the same peak
         for k in descending(np.where(peaks, gain, 0.0), LOG_ODDS_MARGIN)[:_MOST_WAVES]:
             if peaks[k]:
                 near = cycles[k] + _CYCLE_STEP * np.linspace(-1, 1, 41)
@@ -301,7 +302,9 @@ def _wave_candidates(
                 step = min(max(1.5 * np.sqrt(2 / curvature), _LEAST_CYCLE_DISTANCE), _CYCLE_STEP)
                 for one in best + step * np.arange(-2, 3):  # three sigma either way
                     wave = with_period(error, np.ptp(geometry.stroke) / one, geometry.stroke)
-                    yield replace(wave, chance=error.chance * step / np.ptp(cycles))
+                    chance = error.chance * step / np.ptp(cycles)
+                    waves.setdefault(wave.name, replace(wave, chance=chance))
+        yield from waves.values()
 
 
 def _wave_gain(cycles: Array, u: Array, of_travel: Array) -> Array:
