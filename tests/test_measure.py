@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -53,6 +54,7 @@ def conversation(
     path: Path,
     machine: og.Machine,
     answer: Callable[[str, Operator], str],
+    max_readings: int | None = None,
 ) -> tuple[Operator, list[str], Callable[[], SessionEnd | None]]:
     """A session with an operator; ``answer`` may change what it says."""
     operator = Operator(Rig(errors=TILTED), np.random.default_rng(5))
@@ -65,7 +67,8 @@ def conversation(
 
     seconds = iter(range(0, 10**6, 10))
     session = Session(machine, Record(path, machine.spec), lambda q: answer(q, operator), tell,
-                      clock=lambda: float(next(seconds)))  # fmt: skip
+                      clock=lambda: float(next(seconds)),
+                      max_readings=max_readings)  # fmt: skip
     return operator, said, session.run
 
 
@@ -139,6 +142,91 @@ def test_a_file_of_something_else_is_refused(machine: og.Machine, tmp_path: Path
     _, _, run = conversation(path, machine, scripted("="))
     with pytest.raises(FileError, match="was not measured with this machine file and sheet"):
         run()
+
+
+def test_what_a_reading_contradicts_can_be_undone(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    words = ("99", "=", "=", "undo", "undo", "=", "=", "=")
+    _, said, run = conversation(path, machine, scripted(*words))
+    assert run() is None
+    (objection,) = [line for line in said if "mm cannot be" in line]
+    assert "mm from the 99 mm of line 3, which no leg does" in objection
+    assert "if line 3 is wrong, type undo 2 times" in objection
+    assert [row["kind"] for row in read_csv(path)].count("leg") == 3
+
+
+Lines = Callable[[list[str]], list[str]]
+
+EDITED: dict[str, tuple[Lines, str]] = {
+    "no number": (lambda lines: [*lines[:4], lines[4] + "abc", *lines[5:]],
+                  r"line 5: reading_mm is '.*abc', not a number"),
+    "no time": (lambda lines: [*lines[:4], lines[4].replace(",,30,", ",,zero,"), *lines[5:]],
+                "line 5: time_s is 'zero', not a number"),
+    "emptied": (lambda lines: [*lines[:4], lines[4].rpartition(",")[0] + ",", *lines[5:]],
+                "line 5: reading_mm is empty: fill it in, or make its kind move"),
+    "removed": (lambda lines: [*lines[:4], *lines[5:]],
+                "line 5: has order 4, not 3: put back what was removed, of kind move"),
+    "out of reach": (lambda lines: [*lines[:4], lines[4].rpartition(",")[0] + ",450", *lines[5:]],
+                     "line 5: reading_mm is 450 in setup"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", EDITED)
+def test_what_was_edited_is_checked_before_the_next_question(
+    kind: str, machine: og.Machine, tmp_path: Path
+) -> None:
+    path, (edit, words) = tmp_path / "c.csv", EDITED[kind]
+    assert conversation(path, machine, scripted(*"====="))[2]() is None
+    whole = path.read_text().splitlines()
+    text = "\n".join([*edit(whole), ""])
+    path.write_text(text)
+    _, said, run = conversation(path, machine, scripted("="))
+    with pytest.raises(FileError, match=words):
+        run()
+    assert path.read_text() == text
+    assert said == []
+
+
+def test_a_row_made_a_move_is_skipped(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    assert conversation(path, machine, scripted(*"====="))[2]() is None
+    lines = path.read_text().splitlines()
+    lines[4] = lines[4].replace("leg,", "move,", 1).rpartition(",")[0] + ","
+    path.write_text("\n".join([*lines, ""]))
+    assert conversation(path, machine, scripted("="))[2]() is None
+    assert [row["kind"] for row in read_csv(path)] == ["move", "leg", "leg", "move", "leg", "leg",
+                                                       "move", "leg"]  # fmt: skip
+
+
+def test_a_spreadsheets_file_and_a_torn_one_go_on(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    assert conversation(path, machine, scripted(*"==="))[2]() is None
+    text = path.read_text()
+    saved = re.sub(r"(?<=;)(-?\d+)\.(?=\d+[;\n])", r"\1,", text.replace(",", ";"))
+    path.write_bytes(b"\xef\xbb\xbf" + saved.replace("\n", "\r\n").encode())
+    assert conversation(path, machine, scripted("="))[2]() is None
+    assert path.read_text().startswith(text)
+    assert [row["kind"] for row in read_csv(path)] == ["move"] + ["leg"] * 3 + ["move", "leg"]
+    path.write_text(text[:15])
+    assert conversation(path, machine, scripted(*"==="))[2]() is None
+    assert path.read_text().splitlines()[:5] == text.splitlines()[:5]
+
+
+def test_a_sheet_of_nothing_is_followed_by_another(machine: og.Machine, tmp_path: Path) -> None:
+    path, count = tmp_path / "c.csv", len(opening_sheet(machine))
+    words = (*["skip"] * count, "=")
+    _, said, run = conversation(path, machine, scripted(*words))
+    assert run() is None
+    assert any(f"no dial was read at two places without moving it): {count}" in s for s in said)
+    assert [row["kind"] for row in read_csv(path)].count("leg") == 1
+
+
+def test_no_more_readings_than_asked_for(machine: og.Machine, tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    _, _, run = conversation(path, machine, scripted("=", "="), max_readings=2)
+    with pytest.raises(FileError, match=r"no verdict is possible .*: give a larger --most"):
+        run()
+    assert [row["kind"] for row in read_csv(path)].count("leg") == 2
 
 
 # --- In a process of its own --------------------------------------------------------------------

@@ -209,7 +209,9 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
         lambda rows: [*rows[:4], rows[4][:-1], *rows[5:]], "has 11 fields where", 5),
     "a field too many": (
         lambda rows: [*rows[:4], [*rows[4], "1"], *rows[5:]], "give every line as many fields", 5),
-    "a title above the names": (lambda rows: [["April"], *rows], "begin with the names", 2),
+    "a title above the names": (
+        lambda rows: [["April;;"], *rows], "names of the columns stand on line 2", 1),
+    "two campaigns in one": (lambda rows: [*rows, *rows], "the header stands here again", 56),
 }  # fmt: skip
 
 BROKEN: dict[str, tuple[bytes, str, int | None]] = {

@@ -139,9 +139,12 @@ def simulate(
 @opt.file("--out", "Readings to write, or to go on with.", "CAMPAIGN.csv", required=True)
 @opt.machine()
 @opt.file("--sheet", "Measuring sheet to read first; its own if absent.", "SHEET.csv")
-@click.option("--most", "max_readings", type=click.IntRange(2), default=126, show_default=True,
-              help="Readings after which no more are asked for.")  # fmt: skip
-def measure(out: Path, machine: opt.MachineOption, sheet: Path | None, max_readings: int) -> None:
+@click.option("--most", "max_readings", type=click.IntRange(2),
+              help="Readings after which no more are asked for.  [default: 126, or all of --sheet]"
+              )  # fmt: skip
+def measure(
+    out: Path, machine: opt.MachineOption, sheet: Path | None, max_readings: int | None
+) -> None:
     """Ask for one reading after another at the machine, until the verdict is settled.
 
     Says where each dial stands and where to go, takes what is typed or sent to its standard input

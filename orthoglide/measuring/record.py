@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import time
 from collections.abc import Sequence
@@ -12,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide import files
-from orthoglide.errors import FileError
 from orthoglide.instruments import LegDial
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table
-from orthoglide.observations.table import rows_table
+from orthoglide.observations.schema import COLUMNS, ORDER
+from orthoglide.observations.table import Table, parse_table, rows_table
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.text import csv_text, printable_path
 
@@ -48,6 +46,7 @@ class Record:
         self.rows: list[Row] = []
         self.idle = 0.0
         self._columns: tuple[str, ...] = ()
+        self._is_stale = False  # whether the file lacks rows, or is as a spreadsheet saved it
 
     @property
     def readings(self) -> int:
@@ -66,7 +65,8 @@ class Record:
         """Read what the file contains, or begin it with a sheet; return whether it was there.
 
         Raises:
-            FileError: where it is no file of this kind, or cannot be written.
+            FileError: where it is no file of this kind, has rows that cannot be used, or cannot be
+                written.
         """
         self._columns = tuple(self.plan(first)[0])
         if not self.path.exists():
@@ -74,27 +74,52 @@ class Record:
             return False
         text = files.decode(files.read_bytes(self.path), self.path)
         complete = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
-        reader = csv.DictReader(io.StringIO(complete, newline=""))
-        self.rows = list(reader)
-        ragged = any(None in (*row, *row.values()) for row in self.rows)
-        if ragged or tuple(reader.fieldnames or ()) != self._columns:
-            problem = "was not begun by this command with this machine file"
-            raise FileError(
-                f"{problem}: choose another name for --out", file=printable_path(self.path), line=1
-            )
-        self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
-        if complete != text:
+        if self._text().startswith(complete or text):
             self._write()
+            return False
+        table = parse_table(complete, self.path)
+        if table.names != self._columns:
+            problem = "was not begun by this command with this machine file"
+            table.fail(f"{problem}: choose another name for --out")
+        self.rows = self._rows_of(table)
+        self.campaign(self.rows)  # raises
+        self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
+        self._is_stale = text != self._text()
         return True
+
+    def _rows_of(self, table: Table) -> list[Row]:
+        """Return the rows of a table, every cell of which is checked: none may be missing, as they
+        determine what is asked next.
+        """
+        for column in COLUMNS:
+            for name in column.names(self.machine_file.geometry.leg_names):
+                table.values(column, name)  # raises
+        cells = zip(*table.columns.values(), strict=True)
+        rows = [dict(zip(table.names, row, strict=True)) for row in cells]
+        for k, (row, order) in enumerate(zip(rows, table.values(ORDER), strict=True)):
+            if order != k:
+                table.fail(
+                    f"has order {order}, not {k}: put back what was removed, of kind move if it is "
+                    "not to count, or remove all rows from here on, which are asked for again",
+                    k,
+                )
+            if row["kind"] != "move" and not row["reading_mm"]:
+                remedy = "fill it in, or make its kind move if it is not to count"
+                table.fail(f"reading_mm is empty: {remedy}", k)
+            row["order"] = str(k)
+        return rows
 
     def append(self, row: Row) -> None:
         """Add a row, numbered, and see it on the disk."""
         full = row | {"order": str(len(self.rows))}
+        self.rows.append(full)
+        if self._is_stale:
+            self._write()
+            return
         with files.as_file_errors(self.path), open(self.path, "ab") as stream:
             stream.write(csv_text(list(full.values()), ()).encode())
             stream.flush()
             os.fsync(stream.fileno())
-        self.rows.append(full)
 
     def take_back(self) -> bool:
         """Remove the last reading and what follows it; return whether there was one."""
@@ -104,13 +129,16 @@ class Record:
             self._write()
         return bool(readings)
 
-    def _write(self, *, overwrite: bool = True) -> None:
-        text = csv_text(self._columns, [row.values() for row in self.rows])
-        files.write_file(self.path, text, overwrite=overwrite)
+    def _text(self) -> str:
+        return csv_text(self._columns, [row.values() for row in self.rows])
 
-    def campaign(self, rows: Sequence[Row]) -> Readings:
+    def _write(self, *, overwrite: bool = True) -> None:
+        files.write_file(self.path, self._text(), overwrite=overwrite)
+        self._is_stale = False
+
+    def campaign(self, rows: Sequence[Row]) -> Readings | None:
         """Return some of the rows as a campaign, without mountings that were read at one station
-        only: their datum is free, so they contain no information.
+        only: their datum is free, so they contain no information. `None` if there are no others.
 
         Raises:
             FileError: where the readings cannot be used.
@@ -120,6 +148,8 @@ class Record:
             if row["kind"] != "move":
                 command = tuple(row[name] for name in command_columns(row))
                 stations.setdefault(row["setup"], set()).add(command)
+        if max(map(len, stations.values()), default=0) < 2:
+            return None
         unused = {"kind": "move", "reading_mm": ""}
         used = [row if len(stations.get(row["setup"], ())) > 1 else row | unused for row in rows]
         table = rows_table(used, printable_path(self.path))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from decimal import Decimal
 from typing import Literal
@@ -146,9 +146,13 @@ def next_step(
         return None, "no further readings within reach would add information", outcome.stands
     if len(sheet) > readings_left or number >= _MAX_SHEETS:
         return None, f"{reason}, and no more readings were to be taken", False
-    # No two sheets have mountings of one name.
+    return _numbered(sheet, number), reason, False
+
+
+def _numbered(sheet: Readings, number: int) -> Readings:
+    """Return a sheet after others: no two have mountings of one name."""
     named = (replace(s, name=f"{s.name.removeprefix('next-')}-{number + 1}") for s in sheet.setups)
-    return replace(sheet, setups=tuple(named)), reason, False
+    return replace(sheet, setups=tuple(named))
 
 
 # --- The conversation -----------------------------------------------------------------------------
@@ -178,17 +182,6 @@ class _Part:
         return self.first_row + len(self.rows)
 
 
-def _impossible_span(sheet: Readings, row: int, reading: float, taken: Mapping[int, float]) -> str:
-    """Return why a reading of a sheet's row, metres, is impossible after those taken, by row, in
-    the same mounting, a clause; empty if it is possible.
-    """
-    mounting = sheet.setup[row]
-    span = float(np.ptp([reading, *(v for k, v in taken.items() if sheet.setup[k] == mounting)]))
-    if span <= max_dial_span(sheet, mounting):
-        return ""
-    return f"the dial would have moved {span * 1e3:.1f} mm in this mounting, which no leg does"
-
-
 def _as_move(row: Row, posture: str) -> Row:
     """Return the row of a move to the position of a reading that is not taken there."""
     return row | {"kind": "move", "posture": posture, "repeat": ""}
@@ -203,7 +196,8 @@ class Session:
     ask: Callable[[str], str]  # returns the answer to a question; `EOFError` at the end of input
     tell: Callable[[str], None]  # shows a message
     sheet: Readings | None = None  # to read first; the program's own where absent
-    max_readings: int = MAX_READINGS  # readings after which no more are asked for
+    # readings after which no more are asked for; `MAX_READINGS`, or all of a sheet, where absent
+    max_readings: int | None = None
     clock: Callable[[], float] = time.time  # seconds; only differences count
     _start_time: float = field(default=0.0, init=False)
     _parts: list[_Part] = field(default_factory=list, init=False)  # up to the next row
@@ -218,11 +212,12 @@ class Session:
             What it came to; `None` if somebody asked to stop, or the input ended.
 
         Raises:
-            InputError: if the file or the sheet cannot be used.
+            InputError: if the file or the sheet cannot be used, or all readings give no verdict.
         """
         first = self.sheet or opening_sheet(self.machine)
         file_name = printable_path(self.record.path)
         first = first if len(first.moves) else first.with_moves()
+        max_readings = self.max_readings or max(MAX_READINGS, len(first))
         if self.record.open(first):
             self.tell(f"{file_name} holds {self.record.readings} readings: going on after them.")
         else:
@@ -233,11 +228,22 @@ class Session:
         try:
             while sheet is not None:
                 self._begin_sheet(sheet)
-                rows = self._read_sheets()
+                rows, number = self._read_sheets(max_readings), len(self._parts)
+                readings_left = max_readings - sum(row["kind"] != "move" for row in rows)
                 self.tell("\nComputing the verdict.")
-                outcome = compute_outcome(build_request(self.record.campaign(rows), self.machine))
-                readings_left = self.max_readings - sum(bool(row["reading_mm"]) for row in rows)
-                sheet, reason, settled = next_step(outcome, len(self._parts), readings_left)
+                try:
+                    if (campaign := self.record.campaign(rows)) is None:
+                        raise InputError("no dial was read at two places without moving it")
+                    outcome = compute_outcome(build_request(campaign, self.machine))
+                    sheet, reason, settled = next_step(outcome, number, readings_left)
+                except InputError as error:  # all was skipped, or a dial was stuck
+                    sheet = _numbered(opening_sheet(self.machine, number), number)
+                    reason = f"no verdict is possible ({getattr(error, 'reason', error)})"
+                    if len(sheet) > readings_left or number >= _MAX_SHEETS:
+                        raise FileError(
+                            f"{reason}: give a larger --most, or another name for --out",
+                            file=file_name,
+                        ) from None
                 if sheet is not None:
                     self.tell(f"\nNot settled yet, {reason}: {len(sheet)} readings more.")
         except EOFError:
@@ -245,8 +251,10 @@ class Session:
         verdict = build_result(outcome, Verdict)
         return SessionEnd(verdict, settled, reason, self.record.readings)
 
-    def _read_sheets(self) -> list[Row]:
-        """Return the rows of the file up to the end of the last sheet, once all of it is read."""
+    def _read_sheets(self, max_readings: int) -> list[Row]:
+        """Return the rows of the file up to the end of the last sheet, once all of it is read, or
+        so many readings are.
+        """
         while True:
             done = self._sheet_rows
             while len(done) < self._parts[-1].first_row:  # a reading was taken back
@@ -254,6 +262,8 @@ class Session:
             part = self._parts[-1]
             if len(done) >= part.end:
                 return self.record.rows[: int(done[part.end - 1]["order"]) + 1]
+            if self.record.readings >= max_readings:
+                return self.record.rows
             self._read_next(part, len(done) - part.first_row)
 
     @property
@@ -289,13 +299,13 @@ class Session:
         if self._place is None and self.record.rows:
             self._pass(self._way_back(part.sheet, reading))
         self._go(planned, "go to", f"posture {planned['posture']}")
-        self._ask_reading(part, planned, reading)
+        mounting = int(part.sheet.setup[reading])
+        self._ask_reading(planned, max_dial_span(part.sheet, mounting))
 
-    def _ask_reading(self, part: _Part, planned: Row, reading: int) -> None:
-        """Ask for one reading until it is given, skipped, or the one before is taken back."""
-        answers = zip(part.rows, self._sheet_rows[part.first_row :], strict=False)
-        cells = [row["reading_mm"] for sheet_row, row in answers if sheet_row["kind"] != "move"]
-        taken = {k: float(cell) * 1e-3 for k, cell in enumerate(cells) if cell}
+    def _ask_reading(self, planned: Row, max_span: float) -> None:
+        """Ask for one reading until it is given, skipped, or the one before is taken back; those of
+        a mounting span at most ``max_span``, metres.
+        """
         while True:
             try:
                 answer = parse_answer(self.ask(f"{planned['setup']} shows: "))
@@ -315,12 +325,29 @@ class Session:
                     return
                 self.tell("  there is no reading to take back")
             else:
-                objection = _impossible_span(part.sheet, reading, float(answer) * 1e-3, taken)
+                objection = self._objection(planned["setup"], answer, max_span)
                 if not objection:
                     seconds = f"{max(self.clock() - self._start_time, 0.0):.0f}"
                     self.record.append(planned | {"reading_mm": f"{answer:f}", "time_s": seconds})
                     return
-                self.tell(f"  {answer:f} mm cannot be: {objection}. Type the number again.")
+                self.tell(f"  {answer:f} mm cannot be: {objection}")
+
+    def _objection(self, setup: str, answer: Decimal, max_span: float) -> str:
+        """Return which reading of the same mounting makes an answer impossible, and what to do;
+        empty if it is possible.
+        """
+        rows = [row for row in self.record.rows if row["kind"] != "move"]
+        spans = {k: abs(Decimal(row["reading_mm"]) - answer)
+                 for k, row in enumerate(rows) if row["setup"] == setup}  # fmt: skip
+        k = max(spans, key=spans.__getitem__, default=0)
+        if float(spans.get(k, 0)) * 1e-3 <= max_span:
+            return ""
+        line, undone = int(rows[k]["order"]) + 2, len(rows) - k
+        return (
+            f"the dial would have moved {spans[k]:.1f} mm from the {rows[k]['reading_mm']} mm of "
+            f"line {line}, which no leg does. Type the number again; if line {line} is wrong, type "
+            f"undo {undone} time{'s' * (undone > 1)}, and it is asked for again."
+        )
 
     def _announce_mounting(self, part: _Part, setup: str) -> None:
         """Say where the dials of a mounting stand, once."""

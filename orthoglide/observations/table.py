@@ -19,13 +19,14 @@ from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Array
 from orthoglide.notes import Note
 from orthoglide.numerals import MINUS
-from orthoglide.observations.schema import NUMBER, Column
+from orthoglide.observations.schema import COLUMNS, NUMBER, POINT, Column, column_names
 from orthoglide.text import abbreviated, cell_text, printable_path, unprintable
 
 _DELIMITERS = ",;\t"
 _SEPARATOR = re.compile(rf'"?sep=([{_DELIMITERS}])"?', re.IGNORECASE)
 _SCHEMA = re.compile(r"^schema\b", re.MULTILINE)  # of machine files, after any comments
 _MAX_COLUMNS = 200
+_KNOWN_NAMES = frozenset(column_names((*COLUMNS, POINT)))  # by which a header is recognized
 _MISSING = ("nan", "NaN", "None", "<NA>", "NaT")  # how data frames spell an empty cell
 _PRINTED_MINUS = re.compile(rf"^{MINUS}(?=[.,]?[0-9])")  # as this package prints it
 
@@ -118,18 +119,34 @@ def read_table(path: str | os.PathLike[str]) -> Table:
         FileError: if the file is missing, empty, not text, or its rows are ragged.
     """
     content = files.read_bytes(path)
-    text = files.decode(content, path)
+    return parse_table(files.decode(content, path), path, files.sha256(content))
+
+
+def parse_table(text: str, path: str | os.PathLike[str], sha256: str = "") -> Table:
+    """Return the table of a CSV file's text, with its name and digest; raises as `read_table`."""
     header = next((line for line in text.splitlines() if line.strip()), "")
     if header.lstrip()[:1] in ("{", "[") or _SCHEMA.search(text):
         raise FileError("must be CSV, not a result or a machine file: give the campaign's own file",
                         file=printable_path(path))  # fmt: skip
     if separator := _SEPARATOR.fullmatch(header):  # a spreadsheet's own first line
         text = text.replace(header, "", 1)
+    elif not _names_columns(header):
+        lines = text.splitlines()
+        if number := next((k for k, line in enumerate(lines, 1) if _names_columns(line)), 0):
+            raise FileError(
+                f"the names of the columns stand on line {number}: remove what is above them",
+                file=printable_path(path), line=1,
+            )  # fmt: skip
     delimiter = separator[1] if separator else max(_DELIMITERS, key=header.count)
-    names, rows, lines = _parse_cells(text, delimiter, printable_path(path))
+    names, rows, numbers = _parse_cells(text, delimiter, printable_path(path))
     if delimiter != ",":
         rows = [[_decimal_point(cell) for cell in row] for row in rows]
-    return _checked_table(names, rows, lines, printable_path(path), files.sha256(content))
+    return _checked_table(names, rows, numbers, printable_path(path), sha256)
+
+
+def _names_columns(line: str) -> bool:
+    """Return whether a line is a header: one known name may also be the cell of a reading."""
+    return len(_KNOWN_NAMES.intersection(re.split(rf'[{_DELIMITERS}"\s]+', line))) > 1
 
 
 def frame_table(df: Any, name: str) -> Table:
@@ -221,6 +238,11 @@ def _checked_table(
         if character := unprintable("".join(row)):
             raise FileError(
                 f"holds the character {character}, which cannot be shown: remove it",
+                file=file, line=line,
+            )  # fmt: skip
+        if row is not names and tuple(row) == tuple(names):
+            raise FileError(
+                "the header stands here again: make what follows it a file of its own",
                 file=file, line=line,
             )  # fmt: skip
     _check_distinct(names, file)
