@@ -54,7 +54,7 @@ class FileError(InputError):
         self, message: str, *, file: str | PathLike[str] = "", line: int | None = None
     ) -> None:
         self.file = printable_path(file)
-        place = self.file if line is None else f"{self.file}, line {line}"
+        place = ", ".join(filter(None, (self.file, "" if line is None else f"line {line}")))
         super().__init__(f"{place}: {message}" if place else message)
         self.line = line
         self.reason = message

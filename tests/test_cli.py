@@ -99,6 +99,7 @@ def assert_refused(result: Result, file: str, line: int | None, remedy: str) -> 
     ("arguments", "words"),
     [
         (("--free", "joint_ofset"), "there is no effect 'joint_ofset'"),
+        (("--free", ""), "--free takes NAME,..., not ''"),
         (("--free", "joint_offset.w"), "there is no parameter 'joint_offset.w'"),
         (("--free", "joint_offset", "--own", "leg_length"), "own to each campaign but not free"),
         (("--noise", "0"), "--noise must be a number of millimetres"),

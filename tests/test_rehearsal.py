@@ -123,6 +123,22 @@ def test_campaigns_are_the_same_whatever_the_workers(alone: Rehearsal) -> None:
     ]
 
 
+@pytest.mark.parametrize("jobs", [5, -1])
+def test_no_more_processes_than_campaigns(jobs: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    import joblib
+
+    class Ended(Exception):
+        pass
+
+    def parallel(n_jobs: int, **_: object) -> None:
+        assert n_jobs == 1
+        raise Ended
+
+    monkeypatch.setattr(joblib, "Parallel", parallel)
+    with pytest.raises(Ended):
+        og.rehearse(og.Machine.load(MACHINE), "standard", 1, jobs=jobs)
+
+
 @pytest.mark.thorough
 def test_a_dask_cluster_gives_the_same_table(alone: Rehearsal) -> None:
     distributed = pytest.importorskip("dask.distributed")

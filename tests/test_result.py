@@ -206,6 +206,15 @@ def test_an_edited_result_is_refused_by_its_name(
         og.Result.load(path)
 
 
+def test_effects_of_its_own_are_asked_for(folder: Path, tmp_path: Path) -> None:
+    machine = json.loads((folder / "result.json").read_text("utf-8"))["calibrated_machine"]
+    machine["toml"] = machine["toml"].replace("joint_offset.x", "sag.x")
+    path = edited(folder, tmp_path / "own.json", calibrated_machine=machine)
+    words = r"own\.json: had effects of its own: .*Verdict\.load\(path, effects=\[\.\.\.\]\)"
+    with pytest.raises(og.FileError, match=words):
+        og.Verdict.load(path)
+
+
 def test_rows_that_were_edited_are_blamed_on_the_result(folder: Path, tmp_path: Path) -> None:
     inputs = json.loads((folder / "result.json").read_text("utf-8"))["inputs"]
     inputs[0]["rows"][0]["reading_mm"] = "abc"

@@ -60,10 +60,13 @@ def _split_commas(text: str) -> list[str]:
 def names(option: str, help: str, metavar: str = "NAME,...") -> Decorator:
     """Return an option that takes names separated by commas, a tuple in Python."""
 
-    def split(_: Any, __: Any, text: str) -> tuple[str, ...]:
-        return tuple(_split_commas(text))
+    def split(_: Any, __: Any, text: str | None) -> tuple[str, ...]:
+        given = tuple(_split_commas(text or ""))
+        if text is not None and not given:
+            raise InputError(f"{option} takes {metavar}, not {text!r}: give some, or leave it out")
+        return given
 
-    return click.option(option, default="", callback=split, metavar=metavar, help=help)
+    return click.option(option, callback=split, metavar=metavar, help=help)
 
 
 def pairs(option: str, help: str, metavar: str) -> Decorator:

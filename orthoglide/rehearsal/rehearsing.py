@@ -104,7 +104,7 @@ def _run_campaigns(
     progress: Progress,
 ) -> tuple[Outcome, ...]:
     """Return all campaigns in their order, those of an earlier run as they were."""
-    from joblib import Parallel, delayed
+    from joblib import Parallel, delayed, effective_n_jobs
 
     outcomes = dict(journal.finished) if journal else {}
     pending = [k for k in range(campaigns) if k not in outcomes]
@@ -116,7 +116,9 @@ def _run_campaigns(
     show()
     tasks = (delayed(run_campaign)(scope, k, seed) for k in pending)
     try:
-        parallel = Parallel(n_jobs=jobs, return_as="generator_unordered")
+        # joblib starts all its processes, whether or not there are tasks for them
+        processes = min(effective_n_jobs(jobs), max(len(pending), 1))
+        parallel = Parallel(n_jobs=processes, return_as="generator_unordered")
         for outcome in parallel(tasks) if pending else ():
             outcomes[outcome.number] = outcome
             if journal:

@@ -17,6 +17,7 @@ from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal, get_args
 
 from orthoglide.effects import CATALOGUE, Effect
+from orthoglide.effects.catalogue import CUSTOM_EFFECTS_HINT
 from orthoglide.errors import FileError, check_integer
 from orthoglide.files import decode, read_bytes, sha256
 from orthoglide.instruments import Frame
@@ -45,6 +46,9 @@ SCHEMAS = (1, 2)
 EDITED_FILE_ERRORS = (FileError, KeyError, TypeError, ValueError, AttributeError, OverflowError)
 """Errors that the values of an edited ``result.json`` raise."""
 
+_EFFECTS_REMEDY = (
+    "give them too (--effects-file FILE.py; in Python Verdict.load(path, effects=[...]))"
+)
 _LAST_LINE = 1_000_000  # of a file: more rows than any campaign has
 _LONGEST_NAME = 255  # bytes of a file name, as file systems allow
 _NOT_AN_ARGUMENT = Key(in_file=False)
@@ -227,6 +231,8 @@ def edited_file_error(error: Exception, file: str) -> FileError:
     if isinstance(error, FileError) and error.file == file:
         return error
     reason = f"it has no key {error}" if isinstance(error, KeyError) else str(error)
+    if CUSTOM_EFFECTS_HINT in reason:
+        return FileError(f"had effects of its own: {_EFFECTS_REMEDY}", file=file)
     return FileError(f"is not as it was written ({reason}): take the original", file=file)
 
 
@@ -294,8 +300,7 @@ def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] =
             raise ValueError("seed is not a whole number from 0 on")
         source = options.get("effects_file")
         if source and not effects:
-            message = f"had effects from {source}: give them too (--effects-file, effects=)"
-            raise FileError(message, file=file)
+            raise FileError(f"had effects from {source}: {_EFFECTS_REMEDY}", file=file)
         machine = machine_of(machine, effects)
         readings = defaultdict[str, list[Readings]](list)
         for entry in inputs:
