@@ -133,7 +133,10 @@ def _size_actions(outcome: RunOutcome) -> Iterator[Action]:
     moved = (moved - moved.mean()) / outward
     change, radius = float(moved.real.mean()), float(np.mean(layout.radius) - machine.geometry.r)
     turns = np.rad2deg((moved.imag - moved.imag.mean()) / radius)
-    sizes = [f"radius {signed(change * 1e3, 2)} mm, to {(radius + change) * 1e3:.2f} mm"]
+    sizes = [
+        f"radius {signed(change * 1e3, 2)} mm, to {(radius + change) * 1e3:.2f} mm, and radius_mm, "
+        f"which includes r, to {(radius + machine.geometry.r + change) * 1e3:.2f} mm"
+    ]
     sizes += [
         f"tower {leg} {signed(turn, 2)}°"
         for leg, turn in zip(legs, turns, strict=True)

@@ -112,7 +112,8 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
     if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
         return _residual_clause(worse[0], "rises")
     if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
-        return _residual_clause(changes[0], "changes by no more than chance,")
+        most = min(changes, key=lambda c: c.new - c.old)
+        return f"{_residual_clause(most, 'goes')}, which is no more than chance, as in all files"
     return ""
 
 

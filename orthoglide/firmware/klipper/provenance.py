@@ -36,7 +36,7 @@ def unequal_arms_warning(numbers: Numbers) -> str:
     doubt = ", more than rods of one set do. Measure the rods before you trust any of its numbers"
     return (
         f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
-        f"{doubt * (spread > MAX_ROD_SPREAD)}. They are taken as equal to within "
-        f"{_EQUAL_ARMS * 1e3:g} mm: if you did measure them, give the sigma of your measurement "
-        f"under [parameters] of the machine file."
+        f"{doubt * (spread > MAX_ROD_SPREAD)}. Their common length is free, and they are taken "
+        f"as equal to within {_EQUAL_ARMS * 1e3:g} mm of each other: if you did measure them, give "
+        f"the sigma of your measurement under [parameters] of the machine file."
     )
