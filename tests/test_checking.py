@@ -17,6 +17,7 @@ from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide.checking import Check, check
 from orthoglide.checking.pages import changes_page, changes_text
+from orthoglide.closing import build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.explanation.change import Change
@@ -61,7 +62,8 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
     assert said.count("±") == len(found.differences)
     # Zeros and the readings that prove them are listed, but not where the verdict withholds them.
     assert "these readings prove their signs" in changes_text(found)
-    doubted = changes_text(replace(found, closed=replace(found.closed, word="unexplained")))
+    closed = replace(compute_outcome(found.verdict.request), word="unexplained")
+    doubted = changes_text(replace(found, verdict=build_result(closed, og.Verdict)))
     assert "prove their signs" not in doubted
     assert "once the zeros are corrected" not in doubted
 
@@ -105,6 +107,11 @@ def test_from_results_and_files_to_words_and_a_page(visited: Path) -> None:
     assert "Confirm the repair" in page
     assert "was moved the wrong way" in page
     assert "The report of new<" in page
+    stored = og.Verdict.load("out")
+    (change,) = stored.changed
+    assert (change.parameter, change.files) == ("joint_offset.x", ("old.csv", "new.csv"))
+    assert change.after - change.before == pytest.approx(-1.2, abs=0.1)
+    assert stored.compared[0].startswith("the joint offset of leg x changed from")
     seen = opened(page, 390, visited)  # its table was wider than a phone
     assert (seen.inner, seen.out, seen.cut) == (390, [], [])
     table = list(csv.DictReader(io.StringIO((visited / "out" / "changes.csv").read_text())))
@@ -174,7 +181,7 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
                after=size, sigma=1e-5, changed=size > 1e-4)
         for leg, size in (("x", 1e-3), ("y", 1e-5), ("z", 5e-5))
     )  # fmt: skip
-    found = Check(("a",), ("b",), None, (moved, still, apart))  # type: ignore[arg-type]
+    found = Check(("a",), ("b",), None, None, (moved, still, apart))  # type: ignore[arg-type]
     _, within, beyond = found.sentences
     assert within == (
         "nothing else changed beyond its uncertainty: joint offset of leg y +0.010 ± 0.010 mm"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ import pytest
 import orthoglide as og
 from benchmarks import public
 from orthoglide.checking import Check, check
+from orthoglide.checking.comparing import verdict_with_changes
+from orthoglide.checking.pages import check_files
 from orthoglide.closing import RunOutcome, build_result
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_free_forms, with_jump
@@ -21,6 +24,7 @@ from orthoglide.effects.wording import cause_words, confirm_words, difference_wo
 from orthoglide.explanation.causes import curve_of
 from orthoglide.explanation.change import Change
 from orthoglide.numerals import MINUS
+from orthoglide.parameters import effect_name
 from orthoglide.result import Curve
 from tests import rig_campaigns as rc
 from tests.rig import Rig
@@ -81,8 +85,7 @@ def test_a_sign_is_in_the_sentence_and_in_the_file() -> None:
             curve = found_curve(form, coefficients)
             assert np.sign(curve.size) == sign
             assert f", by {'+' if sign > 0 else MINUS}" in curve.words
-            (size,) = (v for k, v in curve.derived().items() if k.startswith("size_"))
-            sizes.append(size)
+            sizes.append(curve.derived()[f"size_{curve.unit}"])
         assert sizes[0] == -sizes[1] > 0
 
 
@@ -141,6 +144,9 @@ def test_a_repaired_error_shows_no_more(first: Any) -> None:
     (gone,) = found.gone
     assert gone.name == first[1].located[0].name
     assert (found.changes, found.come, found.resized) == ((), (), ())
+    (size,) = found.with_changes.changed
+    assert effect_name(size.parameter) in {m.place.effect.name for m in gone.members}
+    assert abs(size.after) < 4 * size.sigma < abs(size.before)
     assert found.sentences[0].startswith("what was located before shows no more: ")
     assert found.line.startswith("Changed: what is located.")
     back = check([visit(first[0], 0.0, 9250, "new")], first[2])
@@ -161,9 +167,70 @@ def test_an_error_that_grew_or_shrank_is_the_one_change(first: Any, share: float
     assert change.before == pytest.approx(located.members[0].size, abs=4 * change.sigma)
     assert change.after == pytest.approx(share * change.before, abs=4 * change.sigma)
     assert f"the error that {located.members[0].place.words}" in change.what
+    assert [c.parameter for c in found.with_changes.changed] == [str(change.parameter)]
     if first[0] != AGAIN:
         assert not again.effects
         assert all(str(c.parameter).endswith(".size") for c in again.changed)
+
+
+SWEEP = rc.protocol_rows("sweep")
+
+
+def wave_visit(fault: Any, seed: int, name: str, zero: float = 0.0) -> og.Campaign:
+    errors = {**ERRORS, "joint_offset.y": ERRORS.get("joint_offset.y", 0.0) + zero}
+    rig = Rig(errors=errors, extra=(fault,))
+    return public.campaign(rc.simulate(rig, SWEEP, np.random.default_rng(seed)), name)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("zero", [0.0, 1e-3])
+def test_a_repaired_wave_of_a_drive_moves_no_zero(zero: float, tmp_path: Path) -> None:
+    """Its level was taken as known: a zero had changed by -0.127 +- 0.008 mm that had not."""
+    states = [
+        wave_visit(rc.drive_wave(1, size, 0.06), 41200 + k, name, shift)
+        for k, (size, name, shift) in enumerate([(3e-4, "old", 0.0), (0.0, "new", zero)])
+    ]
+    found = check(*([state] for state in states), public.machine())
+    offset = next(d for d in found.differences if str(d.parameter) == "joint_offset.y")
+    assert [change.parameter for change in found.changes] == [offset.parameter] * bool(zero)
+    assert offset.difference == pytest.approx(zero, abs=2 * offset.sigma)
+    (tmp_path / "result.json").write_text(str(check_files(found)["result.json"]), "utf-8")
+    stored = og.Verdict.load(tmp_path)
+    assert [c.parameter for c in stored.changed] == [*map(str, [offset.parameter] * bool(zero)),
+                                                     "drive_y_travel.y"]  # fmt: skip
+    assert stored.compared == found.sentences
+    assert len(pickle.dumps(found)) < 2e6  # with both runs it was 214 MB
+
+
+@pytest.mark.thorough
+def test_the_size_of_a_short_wave_is_as_uncertain_as_its_shape() -> None:
+    """A wave between the stations had grown by 0.126 +- 0.003 mm, in truth by 0.212."""
+    old, new = (
+        wave_visit(rc.drive_wave(1, k * 3e-4, 0.031), 41300 + k, f"visit{k}") for k in (1, 2)
+    )
+    (change,) = check([old], [new], public.machine()).changes
+    assert change.parameter.effect == "drive_y_waves"
+    assert change.difference == pytest.approx(2.12e-4, abs=2 * change.sigma)
+
+
+def test_the_sigma_of_a_size_is_that_of_draws() -> None:
+    """A root mean square lacks what readings do not show of a curve."""
+    rng = np.random.default_rng(41400)
+    for form in (form for form in KEPT.values() if not form.of_dial):
+        count = form.sampled[1].shape[1]
+        for shown in (3.0, 0.3):
+            mean, root = shown * rng.standard_normal(count), rng.standard_normal((count, count))
+            functions = form.sampled[1]
+            if form.is_local or form.against == "time":
+                root *= 1e-3  # the largest value stays where it is
+            covariance = functions @ root @ root.T @ functions.T / count
+            draws = [
+                form.size(functions @ (mean + root @ rng.standard_normal(count) / count**0.5))
+                for _ in range(400)
+            ]
+            value = functions @ mean
+            error = np.sqrt(np.mean((np.array(draws) - form.size(value)) ** 2))
+            assert form.size_sigma(value, covariance) == pytest.approx(error, rel=0.25), form.name
 
 
 @pytest.mark.thorough
@@ -176,7 +243,7 @@ def test_an_alternative_that_the_machine_lacks_is_not_drawn(first: Any) -> None:
     zero = catalogue.parameter("joint_offset.x")
     sizes = {zero: 1e-4, next(iter(shape.motions)): 1e-4}
     change = Change(sizes, catalogue, "", ("old", "new"), 0.0, 1e-4, 1e-5, 1e-5)
-    (drawn,) = Check(("old",), ("new",), outcome, (change,)).with_changes.changed
+    (drawn,) = verdict_with_changes(outcome, [change]).changed
     assert drawn.members == (zero,)
 
 

@@ -16,6 +16,7 @@ from orthoglide.checking.located import (
     located_only_in_first,
     located_words,
     resized,
+    with_uncertain_shapes,
 )
 from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, read_states, with_distinct_names
@@ -44,7 +45,9 @@ class Check(Framed):
     Attributes:
         old: names of the campaigns of the old state.
         new: names of the campaigns of the new state.
-        closed: the machine as it is now, from the new readings alone.
+        verdict: on the machine as it is now, from the new readings alone.
+        with_changes: the same verdict with the changes since the old readings, for drawings,
+            actions and ``result.json``.
         differences: differences of the base parameters, of the causes found and of what changed.
         moves: plates that lie elsewhere than before.
         gone: errors located in the old state that show no more.
@@ -55,7 +58,8 @@ class Check(Framed):
 
     old: tuple[str, ...]
     new: tuple[str, ...]
-    closed: RunOutcome
+    verdict: Verdict
+    with_changes: Verdict
     differences: tuple[Change, ...]
     moves: tuple[PlateMove, ...] = ()
     gone: tuple[Located, ...] = ()
@@ -106,23 +110,6 @@ class Check(Framed):
         )
 
     @cached_property
-    def verdict(self) -> Verdict:
-        """The verdict on the machine as it is now, from the new readings alone."""
-        return build_result(self.closed, Verdict)
-
-    @cached_property
-    def with_changes(self) -> Verdict:
-        """The verdict with the changes since the old readings, for drawings and actions. Those of
-        located errors are not among them, as the new readings alone show these errors.
-        """
-        catalogue = self.closed.request.machine.catalogue
-        changed = tuple(
-            replace(d, sizes={p: size for p, size in d.sizes.items() if p.effect in catalogue})
-            for d in self.changes if d.parameter.effect in catalogue
-        )  # fmt: skip
-        return build_result(replace(self.closed, changed=changed), Verdict)
-
-    @cached_property
     def sentences(self) -> tuple[str, ...]:
         """What changed, largest in sigmas first, and the uncertainty of unchanged parameters."""
         changed = ranked(self.changes, lambda d: abs(d.difference) / d.sigma)
@@ -147,7 +134,7 @@ class Check(Framed):
         names += ["where the plate lies"] * bool(self.moves)
         names += ["what is located"] * bool(self.places)
         what = f"Changed: {', '.join(names)}" if names else "Nothing changed"
-        return f"{what}. Verdict {self.closed.word}."
+        return f"{what}. Verdict {self.verdict.word}."
 
     def __str__(self) -> str:
         return "\n".join(self.sentences)
@@ -219,22 +206,40 @@ def _comparison(
     if not jointly or gone or come:
         files = ", ".join(old_names), ", ".join(new_names)
         names = {shape.name for shape in shapes}
-        sizes = (change for change in together.changed if change.parameter.effect in names)
-        differences = (*sizes, *_separate_differences(closed_before, closed, files))
+        sizes = [change for change in together.changed if change.parameter.effect in names]
+        of_shapes = with_uncertain_shapes(sizes, errors)
+        differences = (*of_shapes, *_separate_differences(closed_before, closed, files))
     else:
-        differences = tuple(_joint_differences(together, new_names, shapes))
+        joint = [*_joint_differences(together, new_names, shapes)]
+        differences = tuple(with_uncertain_shapes(joint, errors))
     rivals = {error.shape.name: error.rivals for error in errors}
     differences = tuple(
         replace(d, rivals=rivals.get(d.parameter.effect, d.rivals)) for d in differences
     )
     sized_gone, sized_come, stated = gone_and_come(errors, together.changed)
     progress(Step("comparing"))
+    verdict = build_result(closed, Verdict)
+    changed = [d for d in differences if d.changed]
     return Check(
-        old_names, new_names, closed,
+        old_names, new_names, verdict,
+        verdict_with_changes(closed, changed) if changed else verdict,
         tuple(d for d in differences if d.parameter.effect not in stated),
         plate_moves(together.after.problem, together.after.x, old_names, new_names),
         gone + sized_gone, come + sized_come, tuple(resized(closed_before, closed)),
     )  # fmt: skip
+
+
+def verdict_with_changes(closed: RunOutcome, changes: Iterable[Change]) -> Verdict:
+    """Return the verdict on the new readings with changes since the old ones. Sizes of located
+    errors are no alternatives to parameters of the machine there, as no drawing shows them.
+    """
+    catalogue = closed.request.machine.catalogue
+
+    def drawn(change: Change) -> Change:
+        sizes = {p: size for p, size in change.sizes.items() if p.effect in catalogue}
+        return replace(change, sizes=sizes) if change.parameter in sizes else change
+
+    return build_result(replace(closed, changed=tuple(map(drawn, changes))), Verdict)
 
 
 def _joint_differences(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -11,6 +13,8 @@ import numpy as np
 from orthoglide.closing import RunOutcome
 from orthoglide.effects import Effect
 from orthoglide.explanation.change import SIGNIFICANT_SIGMAS, Change
+from orthoglide.machine_file import Posterior
+from orthoglide.parameters import Parameter, effect_name
 from orthoglide.result import Curve, Located
 
 
@@ -18,6 +22,8 @@ class SizedError(NamedTuple):
     """An error that was located in either state and has a size in both."""
 
     shape: Effect  # with the shape of the old state, or of the new one if it is located there alone
+    curve: Curve  # with that shape
+    posterior: Posterior  # of the machine in that state
     old: Located | None  # as located in the old state
     new: Located | None  # as located in the new state
     rivals: tuple[str, ...]  # the other places where it may be, a clause each
@@ -34,18 +40,63 @@ def errors_with_size(before: RunOutcome, now: RunOutcome) -> Iterator[SizedError
                 curve, new = member, other
                 matched.add(k)
                 break
-        yield _sized(curve, old, new)
+        yield _sized(curve, before, old, new)
     for k, new in enumerate(now.located):
         if k not in matched and _has_one_shape(new):
-            yield _sized(_curves_of_one_shape(new)[0], None, new)
+            yield _sized(_curves_of_one_shape(new)[0], now, None, new)
 
 
-def _sized(curve: Curve, old: Located | None, new: Located | None) -> SizedError:
+def _sized(curve: Curve, state: RunOutcome, old: Located | None, new: Located | None) -> SizedError:
     shape = curve.place.shape_effect(curve.coefficients)
     located = new or old
     members = () if located is None else located.members
     rivals = tuple(m.place.words for m in members if m.place.words != curve.place.words)
-    return SizedError(shape, old, new, rivals)
+    return SizedError(shape, curve, state.machine.posterior, old, new, rivals)
+
+
+def with_uncertain_shapes(
+    differences: Sequence[Change], errors: Iterable[SizedError]
+) -> Iterator[Change]:
+    """Yield the differences of a fit of all readings with the uncertainty of the shapes that errors
+    have in it. Those of parameters that it may account for are no changes.
+
+    Readings do not show a curve between their stations, nor tell its level from a zero of the same
+    drive. A curve c + e that was found as c, and whose size changed by a share of c, leaves that
+    share of e in the other parameters.
+    """
+    difference_of = {d.parameter.effect: d.difference for d in differences}
+    sized = [
+        (one, difference_of[one.shape.name] / one.curve.size)
+        for one in errors if one.shape.name in difference_of
+    ]  # fmt: skip
+    names = {one.shape.name for one, _ in sized}
+    changed = {d.parameter for d in differences if d.changed}
+    for one in differences:
+        free = {one.parameter, *changed}
+        added = math.hypot(*(s * _shape_sigma(e, one.parameter, free) for e, s in sized))
+        # A size is certain to have changed by a share of itself, whatever that size is.
+        is_size = one.parameter.effect in names
+        exceeds = is_size or abs(one.difference) > SIGNIFICANT_SIGMAS * added
+        changed_too = one.changed and exceeds
+        yield replace(one, sigma=math.hypot(one.sigma, added), changed=changed_too)
+
+
+def _shape_sigma(error: SizedError, parameter: Parameter, free: Collection[Parameter]) -> float:
+    """Return the standard deviation, SI, that the shape of an error adds to its size, or to a
+    parameter that is estimated beside it while all others but the ``free`` ones are known.
+    """
+    posterior, effect = error.posterior, error.shape.name
+    if parameter.effect == effect:
+        return error.curve.size_sigma
+    if parameter not in posterior.names:
+        return 0.0
+    coefficients = [name for name in posterior.names if effect_name(name) == effect]
+    others = [name for name in posterior.names if name not in (*coefficients, *free)]
+    variances = (
+        float(posterior.regression([parameter], given)[1][0, 0])
+        for given in (others, [*others, *coefficients])
+    )
+    return math.sqrt(max(next(variances) - next(variances), 0.0))
 
 
 def gone_and_come(
@@ -56,7 +107,7 @@ def gone_and_come(
     """
     change_of = {change.parameter.effect: change for change in changed}
     gone, come, names = list[Located](), list[Located](), set[str]()
-    for shape, old, new, _ in errors:
+    for shape, _, _, old, new, _ in errors:
         if (change := change_of.get(shape.name)) is None:
             continue
         if old is not None and change.is_zero(change.after):
@@ -105,7 +156,7 @@ def resized(before: RunOutcome, now: RunOutcome) -> Iterator[tuple[Curve, Curve]
         pairs = product(old.members, new.members)
         if not _has_one_shape(old) and (pair := next((p for p in pairs if _resemble(*p)), None)):
             first, second = pair
-            sigma = float(np.hypot(_size_sigma(first), _size_sigma(second)))
+            sigma = math.hypot(first.size_sigma, second.size_sigma)
             if abs(second.size - first.size) > SIGNIFICANT_SIGMAS * sigma:
                 yield pair
 
@@ -121,11 +172,6 @@ def _resemble(one: Curve, other: Curve) -> bool:
     at = np.union1d(one.at, other.at)
     first, second = (np.interp(at, curve.at, curve.value) for curve in (one, other))
     return bool((first @ second) ** 2 > (first @ first) * (second @ second) / 2)
-
-
-def _size_sigma(curve: Curve) -> float:
-    """Return the standard deviation of a size, SI: that of the largest value."""
-    return float(curve.sigma[np.abs(curve.value).argmax()])
 
 
 def _places_read(closed: RunOutcome) -> set[tuple[float, ...]]:

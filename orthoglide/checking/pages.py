@@ -35,12 +35,13 @@ def changes_text(comparison: Check) -> str:
 
 
 def check_files(comparison: Check, progress: Progress = no_progress) -> dict[str, str | bytes]:
-    """Return the files of a comparison's folder by name: the report of the new state, and the
-    changes as a table and a page.
+    """Return the files of a comparison's folder by name: the report of the new state with what
+    changed since the old one, and the changes as a table and a page.
     """
+    result = replace(comparison.with_changes, compared=comparison.sentences)
     rows = ((d.parameter, *(c.replace("−", "-") for c in d.cells)) for d in comparison.differences)
     return {
-        **report_files(comparison.verdict, progress),
+        **report_files(result, progress),
         "changes.csv": csv_text(("parameter", *COLUMNS), rows),
         "check.html": changes_page(comparison),
     }

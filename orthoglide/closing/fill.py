@@ -103,6 +103,7 @@ def _result_values(outcome: RunOutcome) -> Result:
         withheld=not_advised(outcome),
         possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),
+        compared=(),
     )
 
 

@@ -6,6 +6,7 @@ kept, so the effects of the catalogue compete with them.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -51,6 +52,27 @@ class FreeForm(FreeFormPlace):
             return float(np.sqrt(np.mean(value**2)))
         slope = np.sign(value[-1] - value[0]) if self.is_line else 1.0
         return float(np.ptp(value) if self.against == "reversal" else slope * np.std(value))
+
+    def size_sigma(self, value: Array, covariance: Array) -> float:
+        """Return the root mean square error of `size` as that of uncertain values.
+
+        Of a root mean square r over n points it is that of a length: with t the mean variance and v
+        the variance of r to first order, the mean of r'^2 is r^2 + t, and that of r' the root of
+        r^2 + t - v. So it contains the waves that readings do not show, and r lacks.
+
+        ``value``: mean at `sampled` ``(n,)``; ``covariance``: of the values ``(n, n)``.
+        """
+        if self.is_local or self.against == "time":
+            k = np.abs(value).argmax()
+            return float(np.sqrt(covariance[k, k]))
+        if self.against == "reversal":
+            high, low = value.argmax(), value.argmin()
+            variance = covariance[high, high] + covariance[low, low] - 2 * covariance[high, low]
+            return float(np.sqrt(variance))
+        square, count = float(np.mean(value**2)), len(value)
+        both = square + float(np.trace(covariance)) / count
+        along = float(value @ covariance @ value) / max(count**2 * square, 1e-300)
+        return math.sqrt(square + both - 2 * math.sqrt(square * max(both - along, 0.0)))
 
     def size_of(self, values: Mapping[str, float]) -> float:
         """Return its size by the values of its effect's parameters, SI, by their numbers."""

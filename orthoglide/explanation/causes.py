@@ -106,7 +106,7 @@ def curve_of(
     if error.is_step:
         covariance = np.diag([covariance[0, 0], mean[0] ** 2 + covariance[0, 0]])
     low, high = error.interval(stroke)
-    value, variance = functions @ mean, np.einsum("ki,ij,kj->k", functions, covariance, functions)
+    value, covariance = functions @ mean, functions @ covariance @ functions.T
     size, legs = error.size(value), error.names.legs
     return Curve(
         name=error.name,
@@ -124,9 +124,10 @@ def curve_of(
         size_words=free_form_words.signed_size_words(error, size),
         at=low + (u + 1) / 2 * (high - low),
         value=value,
-        sigma=np.sqrt(np.maximum(variance, 0.0)),
+        sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
         of_dial=error.of_dial,
         of_machine=error.of_machine,
+        size_sigma=error.size_sigma(value, covariance),
         place=error,
         coefficients=mean,
     )

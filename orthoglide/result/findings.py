@@ -187,6 +187,8 @@ class Curve:
     sigma: Annotated[Array, Key("sigma_si", digits=SHORT_DIGITS)]
     of_dial: bool  # whether it belongs to a dial
     of_machine: bool  # whether the calibrated machine includes it
+    # standard deviation of `size`, its shape's included; nan in results of earlier versions
+    size_sigma: Annotated[float, Key("size_sigma_si", digits=SHORT_DIGITS)] = math.nan
     # the `FreeForm` that the search located; none in a loaded result
     place: Annotated[Any, Key(in_file=False)] = None
     # its coefficients in their prior standard deviations (k,); none in a loaded result
@@ -218,10 +220,8 @@ class Curve:
 
     def derived(self) -> dict[str, Any]:
         """Return keys of ``result.json`` that follow from the fields."""
-        return {
-            f"rms_{self.unit}": in_mm_short(float(self.value.std())),
-            f"size_{self.unit}": in_mm_short(self.size),
-        }
+        sizes = {"rms": float(self.value.std()), "size": self.size, "size_sigma": self.size_sigma}
+        return {f"{name}_{self.unit}": in_mm_short(size) for name, size in sizes.items()}
 
 
 @dataclass(frozen=True)

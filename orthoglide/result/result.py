@@ -22,6 +22,7 @@ from orthoglide.machine_file import Controller
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
+from orthoglide.parameters import effect_name
 from orthoglide.result.advice import Action, Proposal, Withheld, advice_rows
 from orthoglide.result.codec import Key, Metres, decoded, encoded
 from orthoglide.result.display import Picture, ReadingsShown, Workspace
@@ -80,6 +81,7 @@ class Unseen:
 class Judged:
     """Findings with a verdict: whether there are any, and whether they are conclusive."""
 
+    request: Request
     word: Word
     effects: tuple[Any, ...]
     located: tuple[Any, ...]
@@ -114,10 +116,16 @@ class Judged:
 
     @property
     def moved(self) -> tuple[Any, ...]:
-        """Changes that no cause reports."""
+        """Changes that no cause reports, of the parameters that the machine had before the run: the
+        size of an error that was located in it is reported with that error.
+        """
         reported = {n for c in self.effects for e in (c.chosen, *c.same) for n in e.parameters}
         reported = {self.catalogue.parameter(n).plain for n in reported}
-        return tuple(c for c in self.changed if c.parameter not in reported)
+        known = self.request.machine.catalogue
+        return tuple(
+            c for c in self.changed
+            if c.parameter not in reported and effect_name(c.parameter) in known
+        )  # fmt: skip
 
     @property
     def scattering(self) -> tuple[str, ...]:
@@ -180,6 +188,7 @@ class Result(Judged, Framed):
         possible: causes that are not certain enough to be added, each conditional on its being
             present: the most probable ones if the model does not fit and nothing was found, else
             those more probable than not.
+        compared: after ``check``, what changed since the old state and what did not, in sentences.
     """
 
     request: Annotated[Request, Key(in_file=False)]
@@ -223,6 +232,7 @@ class Result(Judged, Framed):
     withheld: tuple[Withheld, ...] = ()
     contradicted: str = ""
     possible: tuple[Possible, ...] = ()
+    compared: tuple[str, ...] = ()
     _index = "parameter"
 
     @classmethod
