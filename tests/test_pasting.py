@@ -89,9 +89,15 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
         ([("heights", 25, 9e-5, 4e-5)], ""),
         ([("heights", 25, 9e-5, 1.2e-4)], "heights of mesh rises from 0.090 to 0.120 mm rms"),
         ([("heights", 25, 9e-5, 9.5e-5)], "rises from 0.090 to 0.095 mm rms"),  # 18 um of noise
-        ([("heights", 25, 9e-5, 9.2e-5)], "than chance, from 0.090 to 0.092 mm rms"),
-        ([("heights", 400, 9e-5, 8.8e-5)], "than chance, from 0.090 to 0.088 mm rms"),
-        ([("heights", 13, 1.6e-5, 1.1e-5)], "than chance, from 0.016 to 0.011 mm"),
+        ([("heights", 25, 9e-5, 9.2e-5)], "goes from 0.090 to 0.092 mm rms, which is no more than"),
+        (
+            [("heights", 400, 9e-5, 8.8e-5)],
+            "goes from 0.090 to 0.088 mm rms, which is no more than",
+        ),
+        (
+            [("heights", 13, 1.6e-5, 1.1e-5)],
+            "goes from 0.016 to 0.011 mm rms, which is no more than",
+        ),
         ([("heights", 6, 3e-4, 0.0)], "6 numbers fit any 6 touches of the plate, right or wrong"),
         # Seven heights that six numbers were fitted to have a residual below their noise.
         ([("heights", 25, 9e-5, 4e-5), ("heights", 7, 3e-6, 1.7e-5)], ""),
