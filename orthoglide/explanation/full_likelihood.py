@@ -3,9 +3,9 @@
 Every parameter and every nuisance of an instrument may deviate by its prior standard deviation,
 which gives whitened readings the covariance ``S = 1 + A A^T``, with the columns A in these standard
 deviations. Alternative readings r' have the log likelihood
-``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them. Other labels
-change the columns of one setup or two: all other readings predict the machine once, and each label
-costs only a factorisation in its parameters.
+``-r'^T S^-1 r' / 2`` up to a constant, so one factorisation serves all of them. Another leg or
+direction changes the columns of one setup or two only: the other readings are factorised once, and
+each label costs a factorisation in the machine's parameters.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ considered: an excess of z gains ``z^2 / 2`` at most, 2 at two, against log odds
 
 _SUM_ROUNDING = 1e-15  # of a sum of squares, relative to it: some machine epsilons
 _LEAST_LENGTH = 1e-9
-"""Standard deviations of a reading by which a coefficient of one unit moves what is left out of a
-basis: with 30 units, and readings off by 10 000 standard deviations, it counts for less than 1e-6
-in a log likelihood."""
+"""Smallest pivot of a direction that is kept in a basis, in standard deviations of a reading by one
+unit of a coefficient: with 30 units, and readings off by 10 000 standard deviations, the others
+change a log likelihood by less than 1e-6."""
 
 _ROUNDING = 1e-12  # of entries of S^-1, which are 1 or less: sums of some thousand products
 
@@ -131,7 +131,7 @@ def _span(columns: Array) -> Array:
 class Prediction(NamedTuple):
     """Some coefficients given all readings but those of some setups."""
 
-    log_likelihood: float  # of these readings
+    log_likelihood: float  # of all readings but these
     mean: Array  # of the coefficients, in prior standard deviations (p,)
     root: Array  # of their covariance (p, p)
 
@@ -224,7 +224,8 @@ class FullLikelihood:
 
     def deletion(self, rows: Rows, change: Array | None = None) -> Deletion:
         """Return some readings, with a change of all readings ``(n,)``, metres, against their
-        prediction by all others. The difference is exact for whole stations.
+        prediction by all others. The difference is exact for whole stations, whose readings share a
+        rounding error.
         """
         weighted = self._weighted_as_read
         if change is not None and change.any():
@@ -250,13 +251,14 @@ class FullLikelihood:
         part = self.basis[rows]
         present = np.unique(part.indices)
         span, triangle = np.linalg.qr(part[:, present].toarray())
-        no_noise, root = np.eye(len(triangle)), triangle @ self._root[present]
+        root = triangle @ self._root[present]
         hat = triangle @ triangle.T - root @ root.T
-        return span, np.asarray((1 + _ROUNDING) * no_noise - hat)
+        return span, np.asarray((1 + _ROUNDING) * np.eye(len(triangle)) - hat)
 
     def noise_gains(self, rows: Rows, ratios: Sequence[float]) -> Array:
         """Return the gain of log likelihood if the noise of some readings is so many times larger
-        ``(r,)``; zeros where their squares are no larger than expected.
+        ``(r,)``; zeros unless their squares exceed the expected ones by `_LEAST_EXCESS` standard
+        deviations.
 
         With the block B of ``S^-1`` and w of ``S^-1 r``, noise of a variance larger by v changes
         the log likelihood by ``v w^T (1 + v B)^-1 w / 2 - ln|1 + v B| / 2``.

@@ -173,41 +173,42 @@ def _rank(
     deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, deletions, dials)]
-    logs, changes, lost = _log_likelihoods(problem, likelihoods, alternatives)
-    logs -= costs[:, None]
-    selections = slice(None), slice(len(background_scales))
-    as_read = [np.logaddexp.reduce(logs[part, 0]) for part in selections]
-    limits = {
-        s: max(
-            float((logs[of, 0] + [d[s].relabelling_limit for d in deletions[of]]).max() - log)
-            for of, log in zip(selections, as_read, strict=True)
-        )
-        for s in rows_by_setup
-    }
-    relabelled = dict[int, Fault]()
-    for k, fault in enumerate(alternatives, 1):
+    as_read, logs, changes, lost = _log_likelihoods(problem, likelihoods, alternatives)
+    as_read, logs = as_read - costs, logs - costs[:, None]
+    relabelled = list[int]()
+    for k, fault in enumerate(alternatives):
         if fault.kind == "noisy":
             gains = np.array([w.noise_gains(fault.rows, NOISE_RATIOS) for w in likelihoods])
-            size = largest(np.logaddexp.reduce(logs[:, :1] + gains, axis=0))
-            alternatives[k - 1] = replace(fault, size=NOISE_RATIOS[size])
+            size = largest(np.logaddexp.reduce(as_read[:, None] + gains, axis=0))
+            alternatives[k] = replace(fault, size=NOISE_RATIOS[size])
             logs[:, k] += gains[:, size]
         elif fault.relabels:
-            relabelled[k], logs[:, k] = fault, -np.inf
-        elif len(lost[k - 1]):
-            logs[:, k] += [w.deletion(lost[k - 1], changes[k - 1]).gain for w in likelihoods]
+            relabelled.append(k)
+            logs[:, k] = -np.inf
+        elif len(lost[k]):
+            logs[:, k] += [w.deletion(lost[k], changes[k]).gain for w in likelihoods]
     priors = np.array([fault.log_odds for fault in alternatives])
+    selections = slice(None), slice(len(background_scales))
+    totals = [np.logaddexp.reduce(as_read[part]) for part in selections]
 
     def all_log_odds() -> list[Array]:
         """Return the log odds of all alternatives ``(K,)`` by each selection."""
-        pairs = zip(selections, as_read, strict=True)
-        return [priors + np.logaddexp.reduce(logs[of, 1:], axis=0) - log for of, log in pairs]
+        pairs = zip(selections, totals, strict=True)
+        return [priors + np.logaddexp.reduce(logs[part], axis=0) - total for part, total in pairs]
+
+    def relabelling_limit(setup: int) -> float:
+        """Return the gain that other labels of a setup seldom exceed, by the better selection."""
+        limits = as_read + [d[setup].relabelling_limit for d in deletions]
+        pairs = zip(selections, totals, strict=True)
+        return max(float(limits[part].max() - total) for part, total in pairs)
 
     # Other labels take most time, and are left out where three others exceed their usual gain.
-    enough = [odds[descending(odds)[:_PER_SELECTION]][-1] for odds in all_log_odds()]
+    enough = min(odds[descending(odds)[:_PER_SELECTION]][-1] for odds in all_log_odds())
     predictions = dict[bytes, list[Prediction]]()  # of the machine, by the rows it is without
-    for k, fault in relabelled.items():
-        limit = fault.log_odds + sum(limits[s] for s in setups_of(problem, fault))
-        if limit > max(least, min(enough)):
+    for k in relabelled:
+        fault = alternatives[k]
+        limit = fault.log_odds + sum(map(relabelling_limit, setups_of(problem, fault)))
+        if limit > max(least, enough):
             logs[:, k] = _relabelled(model, likelihoods, predictions, fault) - costs
     ranked_odds = dict[int, float]()
     for odds in all_log_odds():
@@ -218,18 +219,18 @@ def _rank(
 
 def _log_likelihoods(
     problem: Problem, likelihoods: Sequence[FullLikelihood], alternatives: Sequence[Fault]
-) -> tuple[Array, list[Array], list[Rows]]:
-    """Return the log likelihoods of the readings as they stand, and of alternatives ``(b, 1 + K)``,
-    with the changes of the readings ``(n,)`` and the rows that are lost by each of these.
+) -> tuple[Array, Array, list[Array], list[Rows]]:
+    """Return the log likelihoods of the readings as they stand ``(b,)`` and of alternatives
+    ``(b, K)``, the changes of the readings ``(n,)`` by each, and the rows that are lost by it.
     """
     corrected = [corrected_readings(problem, fault) for fault in alternatives]
     changes = [readings - problem.measured for readings, _ in corrected]
-    other = np.flatnonzero([False, *(bool(change.any()) for change in changes)])
-    columns = np.column_stack([np.zeros(len(problem.measured)), *(changes[k - 1] for k in other)])
+    other = np.flatnonzero([bool(change.any()) for change in changes])
+    columns = np.column_stack([np.zeros(len(problem.measured)), *(changes[k] for k in other)])
     found = np.stack([w.log_likelihood(columns) for w in likelihoods])
-    logs = np.repeat(found[:, :1], 1 + len(changes), axis=1)
+    logs = np.repeat(found[:, :1], len(changes), axis=1)
     logs[:, other] = found[:, 1:]
-    return logs, changes, [rows for _, rows in corrected]
+    return found[:, 0], logs, changes, [rows for _, rows in corrected]
 
 
 def _backgrounds(
