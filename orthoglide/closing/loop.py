@@ -106,7 +106,7 @@ def _ambiguous_calibration_note(base_fit: Estimate) -> Iterator[Note]:
     if clause and base_fit.problem.has_earlier_calibration:
         yield Note(
             f"the earlier calibration {clause}, so changes since then are uncertain; run "
-            f"orthoglide check on the readings of both visits",
+            f"orthoglide check on the readings of both visits, with the machine file of the first",
             "earlier",
         )
 
