@@ -202,13 +202,7 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
     count = len(fault.rows)
     match fault.kind:
         case "sign":
-            other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
-            whose = "the dials" if len(setups_of(problem, fault)) > 1 else "the dial"
-            return (
-                f"the readings fit with the opposite sign, so {whose} counted the other way: look "
-                f"at which way its hand turns and put direction {other} instead of "
-                f"{setup.direction}{', and so on' * (whose == 'the dials')}"
-            )
+            return _sign_clause(setup, several=len(setups_of(problem, fault)) > 1)
         case "label":
             leg, axis = (LEGS[k] for k in fault.label)
             return (
@@ -256,6 +250,19 @@ def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
                 f"readings one after the other while the machine moves: free the plunger and "
                 f"measure these rows again"
             )
+
+
+def _sign_clause(setup: Setup, several: bool) -> str:
+    """Return that a dial, or several, counted the other way, and what to do."""
+    other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
+    dials, hands = "the dial", "its hand turns"
+    remedy = f"direction {other} instead of {setup.direction}"
+    if several:
+        dials, hands, remedy = "these dials", "their hands turn", "the opposite directions"
+    return (
+        f"the readings fit with the opposite sign, so {dials} counted the other way: look at which "
+        f"way {hands} and put {remedy}"
+    )
 
 
 def _outlier_clause(problem: Problem, fault: Fault) -> str:

@@ -74,7 +74,7 @@ class Record:
             return False
         text = files.decode(files.read_bytes(self.path), self.path)
         complete = text[: text.rfind("\n") + 1]  # a row that was torn by a power cut is none
-        if self._text().startswith(complete or text):
+        if self._text().startswith(complete or text):  # nothing but the header, or a part of it
             self._write()
             return False
         table = parse_table(complete, self.path)

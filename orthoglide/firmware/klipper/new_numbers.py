@@ -113,7 +113,7 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
         return _residual_clause(worse[0], "rises")
     if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
         most = min(changes, key=lambda c: c.new - c.old)
-        return f"{_residual_clause(most, 'goes')}, which is no more than chance, as in all files"
+        return f"{_residual_clause(most, 'goes')}, which is no more than chance"
     return ""
 
 
