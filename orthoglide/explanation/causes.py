@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -107,7 +108,7 @@ def curve_of(
         covariance = np.diag([covariance[0, 0], mean[0] ** 2 + covariance[0, 0]])
     low, high = error.interval(stroke)
     value, covariance = functions @ mean, functions @ covariance @ functions.T
-    size, legs = error.size(value), error.names.legs
+    legs = error.names.legs
     return Curve(
         name=error.name,
         leg=legs[error.leg] if error.leg >= 0 else None,
@@ -120,17 +121,25 @@ def curve_of(
         probability=probability,
         unit="mrad" if error.is_rotation else "mm",
         description=error.words,
-        size=size,
-        size_words=free_form_words.signed_size_words(error, size),
         at=low + (u + 1) / 2 * (high - low),
-        value=value,
-        sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
         of_dial=error.of_dial,
         of_machine=error.of_machine,
-        size_sigma=error.size_sigma(value, covariance),
         place=error,
         coefficients=mean,
+        **_values(error, value, covariance),
     )
+
+
+def _values(error: FreeForm, value: Array, covariance: Array) -> dict[str, Any]:
+    """Return what a curve has of its values ``(k,)`` and their covariance ``(k, k)``, SI."""
+    size = error.size(value)
+    return {
+        "value": value,
+        "sigma": np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+        "size": size,
+        "size_words": free_form_words.signed_size_words(error, size),
+        "size_sigma": error.size_sigma(value, covariance),
+    }
 
 
 def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -> Curve:
@@ -141,7 +150,7 @@ def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -
         return curve
     odds, u = posterior.alternatives.probabilities(member), curve.place.sampled[0]
     key = curve.place.location_key
-    weights, values, variances = list[float](), list[Array](), list[Array]()
+    weights, values, covariances = list[float](), list[Array](), list[Array]()
     for k, group in enumerate(posterior.mixture.linear.groups):
         wave, index = group.source, group.coefficients
         if group.free_form and odds[k] > 0 and wave.period and wave.location_key == key:
@@ -150,11 +159,13 @@ def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -
             functions -= functions.mean(axis=0)
             weights.append(float(odds[k]))
             values.append(functions @ mean[index])
-            variances.append(np.einsum("ki,ij,kj->k", functions, covariance, functions))
+            covariances.append(functions @ covariance @ functions.T)
     share = np.array(weights) / sum(weights)
     value = share @ np.stack(values)
-    variance = share @ (np.stack(variances) + (np.stack(values) - value) ** 2)
-    return replace(curve, value=value, sigma=np.sqrt(np.maximum(variance, 0.0)))
+    differences = np.stack(values) - value
+    covariance = np.tensordot(share, np.stack(covariances), 1)
+    covariance += (differences.T * share) @ differences
+    return replace(curve, **_values(curve.place, value, covariance))
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
