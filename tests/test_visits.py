@@ -15,6 +15,7 @@ from benchmarks import public
 from orthoglide.checking import Check, check
 from orthoglide.checking.comparing import verdict_with_changes
 from orthoglide.checking.pages import check_files
+from orthoglide.checking.states import read_states
 from orthoglide.closing import RunOutcome, build_result
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_free_forms, with_jump
@@ -173,6 +174,20 @@ def test_an_error_that_grew_or_shrank_is_the_one_change(first: Any, share: float
         assert all(str(c.parameter).endswith(".size") for c in again.changed)
 
 
+def test_a_calibrated_machine_is_compared_as_the_one_before() -> None:
+    """Its coefficients of a located error had changed, each by itself."""
+    form = KEPT["drive.x/travel"]
+    name = str(next(iter(form.effect.motions)))
+    known = MACHINE.with_effects([form.effect]).with_parameters({"rail_bow.x.y": 1e-4, name: 1e-5})
+    readings = visit("step", 0.0, 9300, "visit")
+    for state in read_states(readings, readings, known):
+        assert state.machine.values == known.values  # as its owner wrote it
+    calibrated = known.with_provenance({"verdict": "located"})
+    for state in read_states(readings, readings, calibrated):
+        assert (state.machine.values, state.machine.posterior.names) == ({}, ())
+        assert state.machine.catalogue == MACHINE.catalogue
+
+
 SWEEP = rc.protocol_rows("sweep")
 
 
@@ -180,6 +195,26 @@ def wave_visit(fault: Any, seed: int, name: str, zero: float = 0.0) -> og.Campai
     errors = {**ERRORS, "joint_offset.y": ERRORS.get("joint_offset.y", 0.0) + zero}
     rig = Rig(errors=errors, extra=(fault,))
     return public.campaign(rc.simulate(rig, SWEEP, np.random.default_rng(seed)), name)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("share", [0.0, 2.0])
+def test_a_calibrated_wave_is_compared_by_its_size(share: float, tmp_path: Path) -> None:
+    """The parts of its trial periods had changed, each by itself."""
+    old, new = (
+        wave_visit(rc.drive_wave(1, k * 3e-4, 0.06), 41200 + j, f"visit{j}")
+        for j, k in enumerate((1.0, share))
+    )
+    build_result(studied([old], public.machine()), og.Verdict).report(tmp_path / "out")
+    found = check([old], [new], tmp_path / "out" / "calibrated.toml")
+    if share:
+        (change,) = found.changes
+        assert change.parameter.effect.startswith("drive_y_waves_")
+        assert change.difference == pytest.approx(2.12e-4, abs=3 * change.sigma)
+    else:
+        (gone,) = found.gone
+        assert gone.name.startswith("drive.y/waves@")
+        assert not found.changes
 
 
 @pytest.mark.thorough

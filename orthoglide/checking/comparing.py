@@ -163,7 +163,8 @@ def check(
             ``read_readings``. A result, its folder or its ``result.json`` has its readings.
         new: readings of the new state.
         machine: dimensions, tolerances, dial, or the path of its file; by default that of a result,
-            otherwise the nominal one.
+            otherwise the nominal one. Of a calibrated machine, what the calibration found is not
+            used: both states are found from their own readings.
         noise: standard deviation of one reading, metres; by default the largest of the results.
         seed: of every random draw.
         progress: called with each step.

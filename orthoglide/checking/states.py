@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orthoglide.effects import Effect
+from orthoglide.effects import Catalogue, Effect, catalogue_of
+from orthoglide.effects.bumps_and_jumps import with_free_forms
 from orthoglide.errors import InputError
 from orthoglide.files import result_file
 from orthoglide.fit import readings_of
@@ -58,7 +59,22 @@ def read_states(
             f"--machine (machine=); if the controller uses other numbers now, run close-loop on "
             f"the new readings"
         )
-    return before, replace(after, machine=before.machine)
+    machine = _before_calibration(before.machine)
+    return replace(before, machine=machine), replace(after, machine=machine)
+
+
+def _before_calibration(machine: Machine) -> Machine:
+    """Return a machine without what an earlier run found: a fit of all readings would count the old
+    ones twice, and each state shows a located error by itself, as a curve with one size.
+    """
+    spec = machine.spec
+    if "verdict" not in spec.provenance:
+        return machine
+    catalogue = catalogue_of(spec.catalogue.legs)
+    located = {*with_free_forms(catalogue, spec.catalogue, spec.geometry)} - {*catalogue}
+    remaining = tuple(e for e in spec.catalogue.effects if e.name not in located)
+    catalogue = Catalogue(remaining, spec.catalogue.legs)
+    return Machine(replace(spec, catalogue=catalogue, parameters={}, posterior=None))
 
 
 def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
