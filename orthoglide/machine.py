@@ -29,7 +29,7 @@ from orthoglide.mechanism.engine import batch_index
 from orthoglide.mechanism.mechanism import Posture
 from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.observations import Readings
-from orthoglide.prediction import Conditions, Model
+from orthoglide.prediction import Conditions, MeasurementModel, Model
 from orthoglide.scene import Posed, drawing
 from orthoglide.text import printable_path
 from orthoglide.urdf import held_parameters
@@ -392,7 +392,7 @@ class Machine:
 
     def readings(self, given: Readings) -> Array:
         """Return the expected readings ``(n,)`` without datums, metres or radians."""
-        return self.model.readings(self.values, given)
+        return MeasurementModel(given).predict(self.model, self.values)
 
 
 MachineSource = Machine | MachineFile | Geometry | str | os.PathLike[str]

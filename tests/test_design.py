@@ -75,7 +75,7 @@ def test_the_pool_stays_within_stroke_dial_and_leg(machine):
     assert machine.geometry.in_stroke(pool.command).all()
     beyond = pool.command - 1e-3 * pool.approach  # where it has to come from
     assert machine.geometry.in_stroke(beyond).all()
-    shown = og.Machine.nominal().model.readings({}, pool)
+    shown = og.Machine.nominal().readings(pool)
     for k in range(len(pool.setups)):
         own = shown[pool.setup == k]  # a bar stands half a short link off the median line
         at_zero = own[np.array(pool.posture)[pool.setup == k] == "+0"][0]

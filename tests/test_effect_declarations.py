@@ -22,6 +22,7 @@ from orthoglide.effects.motions import Constant, sideways
 from orthoglide.effects.wording import cause_words, confirm_words, value_words
 from orthoglide.errors import InputError
 from orthoglide.parameters import Parameter
+from orthoglide.prediction import MeasurementModel
 from orthoglide.result import Explanation
 from orthoglide.units import MM
 
@@ -70,7 +71,7 @@ def test_an_effect_by_approach_shows_in_the_readings(machine: og.Machine) -> Non
     shown = machine.with_parameters({name: value}).readings(campaign) - machine.readings(campaign)
     touched = (campaign.leg == 0) & (campaign.approach[:, 0] != 0)
     assert np.abs(shown[touched]).max() > 0.2 * value
-    linear = machine.model.linearised({}, campaign, [name]).jacobian[:, 0] * value
+    linear = MeasurementModel(campaign).linearise(machine.model, {}, [name]).jacobian[:, 0] * value
     np.testing.assert_allclose(shown, linear, atol=1e-8)
 
 

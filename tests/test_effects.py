@@ -20,7 +20,8 @@ from orthoglide.geometry import LEGS, Geometry
 from orthoglide.mechanism.six_bars import LINES, ROTATION, TCP
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings, Setup
-from orthoglide.prediction import Conditions, Model
+from orthoglide.prediction import Conditions, MeasurementModel, Model
+from orthoglide.prediction.measurement_model import LinearRows
 from tests.relabelling import legs_renamed, relabelled
 from tests.rig import Array, Pose, Rig, parameter_names
 from tests.tiers import in_turn
@@ -57,6 +58,16 @@ def orbit(name: str) -> frozenset[str]:
 @cache
 def model() -> Model:
     return Model(GEOMETRY, PITCH, compile=False)
+
+
+def readings(values: dict[str, float], seen: Readings) -> np.ndarray:
+    """Predicted readings of dials (n,), metres."""
+    return MeasurementModel(seen).predict(model(), values)
+
+
+def linearised(values: dict[str, float], seen: Readings, names: list[str]) -> LinearRows:
+    """The same with their derivatives by parameters."""
+    return MeasurementModel(seen).linearise(model(), values, names)
 
 
 @cache
@@ -178,14 +189,14 @@ def test_the_nominal_machine_is_the_reduction() -> None:
 @EVERY
 def test_zero_is_nominal(name: str) -> None:
     seen = campaign()
-    assert np.array_equal(model().readings({name: 0.0}, seen), model().readings({}, seen))
+    assert np.array_equal(readings({name: 0.0}, seen), readings({}, seen))
     assert np.abs(outputs({name: 0.0}, seen) - outputs({}, seen)).max() == 0.0
 
 
 @EVERY
 def test_a_tolerance_is_seen_somewhere(name: str) -> None:
     seen = campaign()
-    change = model().readings({name: tolerance(name)}, seen) - model().readings({}, seen)
+    change = readings({name: tolerance(name)}, seen) - readings({}, seen)
     moved = outputs({name: tolerance(name)}, seen)[:, TCP] - outputs({}, seen)[:, TCP]
     assert max(np.abs(change).max(), np.abs(moved).max()) > 1e-8
     if CATALOGUE.effect_of(name).of_dial:
@@ -209,10 +220,10 @@ def test_derivatives_equal_central_differences(name: str, about: str) -> None:
     # Below this a change of one tolerance is rounding of the readings.
     floor = 1e-13 / step
 
-    own = model().linearised(base, seen, [name])
-    numeric = four_point(lambda h: model().readings({**base, name: start + h}, seen), step)
+    own = linearised(base, seen, [name])
+    numeric = four_point(lambda h: readings({**base, name: start + h}, seen), step)
     slope = own.jacobian[:, 0]
-    assert np.abs(own.value - model().readings(base, seen)).max() < 1e-14
+    assert np.abs(own.value - readings(base, seen)).max() < 1e-14
     assert np.abs(slope - numeric).max() <= 1e-6 * np.abs(numeric).max() + floor
 
     if not CATALOGUE.effect_of(name).of_dial:
@@ -239,8 +250,8 @@ def test_relabelling_the_legs_relabels_the_effect(name: str) -> None:
         turned = relabelled(name)
         assert turned in CATALOGUE.parameters
         assert relabelled(relabelled(turned)) == name
-    shown = model().readings({name: value}, seen)
-    assert np.abs(model().readings({turned: value}, legs_renamed(seen)) - shown).max() < 1e-13
+    shown = readings({name: value}, seen)
+    assert np.abs(readings({turned: value}, legs_renamed(seen)) - shown).max() < 1e-13
     p, q = (outputs({n: value}, c)[:, TCP] for n, c in ((name, seen), (turned, legs_renamed(seen))))
     assert np.abs(np.roll(p, 1, axis=1) - q).max() < 1e-13
 
@@ -256,7 +267,7 @@ def test_agrees_with_the_independent_machine(name: str, times: int) -> None:
     assert np.abs(found[:, TCP] - pose.p).max() < 1e-9
     assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-9
     assert np.abs(found[:, LINES].reshape(-1, 3, 2, 2, 3) - pose.lines).max() < 1e-9
-    assert np.abs(model().readings(values, seen) - shown).max() < 1e-9
+    assert np.abs(readings(values, seen) - shown).max() < 1e-9
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -269,7 +280,7 @@ def test_everything_at_once_agrees_with_the_independent_machine(seed: int) -> No
     # Growth is of the nominal bar here and of the longer one there: 1e-5 of 0.05 mm.
     assert np.abs(found[:, TCP] - pose.p).max() < 1e-8
     assert np.abs(found[:, ROTATION].reshape(-1, 3, 3) - pose.R).max() < 1e-8
-    assert np.abs(model().readings(values, campaign()) - shown).max() < 1e-8
+    assert np.abs(readings(values, campaign()) - shown).max() < 1e-8
     assert np.abs(pose.p - reduction.forward(campaign().command)).max() > 1e-3
 
 
@@ -294,9 +305,9 @@ def test_structured_members_sum_to_their_parts(family: str, member: str) -> None
     parts = [w * model().displacements({n: value}, conditions) for n, w in weights.items()]
     assert np.abs(together).max() > 0
     assert np.abs(together - sum(parts)).max() < 1e-18
-    slopes = model().linearised({}, campaign(), list(weights)).jacobian @ list(weights.values())
+    slopes = linearised({}, campaign(), list(weights)).jacobian @ list(weights.values())
     four = four_point(
-        lambda h: model().readings({n: h * w for n, w in weights.items()}, campaign()), value / 2
+        lambda h: readings({n: h * w for n, w in weights.items()}, campaign()), value / 2
     )
     assert np.abs(slopes - four).max() <= 1e-6 * np.abs(four).max() + 2e-13 / value
 

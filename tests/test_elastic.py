@@ -15,7 +15,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction import Conditions, Model
-from orthoglide.prediction.load import BARS, joint_forces, tensions_tangent
+from orthoglide.prediction.model import BARS, joint_forces, tensions_tangent
 from tests.engines import commands
 from tests.rig import Rig, parameter_names
 from tests.test_six_bars import WIDE, postures

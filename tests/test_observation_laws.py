@@ -127,7 +127,7 @@ def test_derivatives_are_those_of_the_reading(kind: str, layout: str) -> None:
     model, place = machine.model, sheet.command[:, :2] * 3
     stands = stands_of(kind, sheet)
     seen = MeasurementModel(sheet, stands, place, nuisances)
-    own = [n for s in sheet.setups for n in model.formulas.parameter_names(observation, s.name)]
+    own = [n for s in sheet.setups for n in model.instrument_parameters(observation, s.name)]
     needless = ("screw_error", "thermal", "drive_compliance")
     of_machine = [p for p in machine.catalogue.parameters if not p.startswith(needless)]
     values = TRUE[layout] | {n: 0.3 * machine.tolerance(n) for n in own}
@@ -570,7 +570,7 @@ def test_all_methods_find_the_same(kind: str, layout: str) -> None:
     what the machine file says.
     """
     machine, sheet = MACHINES[layout], sheet_of(kind, layout, 10)
-    own = machine.model.formulas.parameter_names(OBSERVATIONS[kind], sheet.setups[0].name)
+    own = machine.model.instrument_parameters(OBSERVATIONS[kind], sheet.setups[0].name)
     true = {n: 0.7 * machine.tolerance(n) for n in own}
     worn = machine.with_parameters(zeros_of(layout, np.random.default_rng(1)) | true)
     readings = og.simulate(worn, replace(sheet, time=20.0 * np.arange(len(sheet))), seed=2)

@@ -15,6 +15,7 @@ from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.fault_columns import command_derivatives
 from orthoglide.explanation.faults import Fault
+from orthoglide.prediction import MeasurementModel
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import Rig
@@ -150,7 +151,9 @@ def test_a_corrected_command_explains_what_it_changed() -> None:
     fault = Fault("command", np.array(wrong), -1e-2, drive=1)
     corrected, values = with_faults_corrected(fit.problem, [fault]), fit.problem.values(0, fit.x)
     model = fit.problem.machine.model
-    written, right = (model.readings(values, p.campaigns[0]) for p in (fit.problem, corrected))
+    written, right = (
+        MeasurementModel(p.campaigns[0]).predict(model, values) for p in (fit.problem, corrected)
+    )
     change = (right - written)[wrong]
     slopes = command_derivatives(corrected, fit.x, right, [fault])[wrong, 1]
     assert slopes * fault.size == pytest.approx(change, abs=1e-12)

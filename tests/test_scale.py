@@ -33,10 +33,10 @@ def by_joints(sheet: og.Readings) -> np.ndarray:
 
 def test_derivatives_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     sheet, names = measured(), ("joint_offset.x", "backlash.y", "gauge_scale.xy-0.5")
-    whole = MACHINE.model.linearised(BENT.values, sheet, names)
+    whole = MeasurementModel(sheet).linearise(MACHINE.model, BENT.values, names)
     joints = by_joints(sheet)
     monkeypatch.setattr(measurement_model, "_ROWS", 7)
-    parts = MACHINE.model.linearised(BENT.values, sheet, names)
+    parts = MeasurementModel(sheet).linearise(MACHINE.model, BENT.values, names)
     assert parts.value == pytest.approx(whole.value, abs=1e-15)
     assert parts.jacobian == pytest.approx(whole.jacobian, abs=1e-12)
     assert parts.reading_poses.nuisance_jacobian == pytest.approx(

@@ -15,6 +15,7 @@ from orthoglide.figures.axes import Limits, Panel, padded, round_ticks
 from orthoglide.figures.style import Drawing
 from orthoglide.geometry import LEGS, Array
 from orthoglide.pictures import dials, option
+from orthoglide.prediction import MeasurementModel
 from orthoglide.scene import drawing
 
 WARMING, LOAD, PITCH = 10.0, 10.0, 0.02  # K over the sheet, N, metres
@@ -59,8 +60,8 @@ class Sheet:
         values = self.machine.values
         more = {**values, name: values.get(name, 0.0) + value}
         model = self.machine.model
-        return np.asarray(model.readings(more, self.campaign)
-                          - model.readings(values, self.campaign))  # fmt: skip
+        readings = MeasurementModel(self.campaign)
+        return np.asarray(readings.predict(model, more) - readings.predict(model, values))
 
     def left(self, name: str, value: float) -> Array:
         """The same ``(n,)``, past what datums and base parameters explain."""

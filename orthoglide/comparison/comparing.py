@@ -18,7 +18,7 @@ from orthoglide.mechanism.perfect_legs import Spheres, commands
 from orthoglide.observations import Readings
 from orthoglide.observations.protocols import protocol
 from orthoglide.ordering import best_of, ranked
-from orthoglide.prediction import Conditions
+from orthoglide.prediction import Conditions, MeasurementModel
 from orthoglide.reduction.spheres import Mode, intersect_spheres
 from orthoglide.units import ONE, Unit
 
@@ -214,14 +214,15 @@ class Comparison:
 
     def _reading_figures(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the fields of a row that come from readings of dials."""
-        campaign, readings = self.campaign, self.model.readings(values, self.campaign)
+        campaign, dials = self.campaign, MeasurementModel(self.campaign)
         datums = np.eye(len(campaign.setups))[campaign.setup]
         mean = datums @ np.linalg.pinv(datums)
 
         def without_datums(rows: Array) -> Array:
             return np.asarray(rows - mean @ rows)
 
-        change = without_datums(readings - self.model.readings({}, campaign))
+        readings = dials.predict(self.model, values)
+        change = without_datums(readings - dials.predict(self.model, {}))
         setups = [campaign.setups[k] for k in campaign.setup]
         axes, gauges, signs = zip(*((s.axis, s.gauge, s.sign) for s in setups), strict=True)
 

@@ -22,6 +22,7 @@ from orthoglide.explanation.faults import (
 from orthoglide.fit import Problem
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.prediction import MeasurementModel
 
 COMMAND_UNIT = 1e-3  # metres: mistyped commands are seldom off by less than a millimetre
 
@@ -128,7 +129,8 @@ def with_exact_size(problem: Problem, x: Array, fault: Fault, change: Array) -> 
 
     def predicted(size: float) -> Array:
         corrected = with_faults_corrected(problem, [replace(fault, size=size)])
-        return problem.machine.model.readings(values, corrected.campaigns[k].subset(rows))
+        model = MeasurementModel(corrected.campaigns[k].subset(rows))
+        return model.predict(problem.machine.model, values)
 
     wanted = predicted(0.0) + change
     try:

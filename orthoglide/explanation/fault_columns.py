@@ -27,7 +27,7 @@ from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Linearised
 from orthoglide.geometry import LEGS, Array
 from orthoglide.observations.arrays import group_ids
-from orthoglide.prediction import ReadingPoses
+from orthoglide.prediction import MeasurementModel, ReadingPoses
 
 _SLIP_UNIT = 5e-4
 """Unit of the coefficients of all kinds but commands and drifts, metres or radians. With the scales
@@ -314,12 +314,16 @@ def command_derivatives(
         values = problem.values(k, x)
         for drive in range(len(LEGS)):
             command = campaign.command + _DIFFERENCE_STEP * np.eye(3)[drive]
-            readings = model.readings(values, replace(campaign, command=command))
+            moved = MeasurementModel(replace(campaign, command=command))
+            readings = moved.predict(model, values)
             derivatives[rows, drive] = (readings - predicted[rows]) / _DIFFERENCE_STEP
     for fault in corrected:
         if abs(fault.size) > _DIFFERENCE_STEP:
             written = with_faults_corrected(problem, [replace(fault, size=-fault.size)]).campaigns
-            as_written = [model.readings(problem.values(k, x), c) for k, c in enumerate(written)]
+            as_written = [
+                MeasurementModel(campaign).predict(model, problem.values(k, x))
+                for k, campaign in enumerate(written)
+            ]
             change = predicted[fault.rows] - np.concatenate(as_written)[fault.rows]
             derivatives[fault.rows, fault.drive] = change / fault.size
     return derivatives

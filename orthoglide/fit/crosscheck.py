@@ -25,7 +25,7 @@ from orthoglide.fit.least_squares import (
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
 from orthoglide.mechanism.engine import PinocchioEngine
-from orthoglide.prediction import MovedMechanism, ReadingPoses
+from orthoglide.prediction import Model, ReadingPoses
 from orthoglide.prediction.measurement_model import LinearRows
 from orthoglide.result.fits import CrossCheck, Verification
 
@@ -42,7 +42,7 @@ class ReducedFactor(Factor):
     linear: bool  # by system (11), generalised to any readings
 
     def linearise(
-        self, model: MovedMechanism, values: Mapping[str, float], names: Sequence[str]
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Return the readings with their derivatives by the base parameters of these names."""
         r = self.readings
@@ -61,7 +61,7 @@ class ReducedFactor(Factor):
             r.sign * value, r.sign[:, None] * predicted.gradient[:, columns], unplaced
         )
 
-    def predict(self, model: MovedMechanism, values: Mapping[str, float]) -> Array:
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Return the predicted readings ``(n,)``."""
         return self.linearise(model, values, ()).value
 

@@ -33,7 +33,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.ordering import largest
-from orthoglide.prediction import ReadingPoses
+from orthoglide.prediction import MeasurementModel, ReadingPoses
 from orthoglide.simulation import simulate
 
 _DATUM_SIGMA = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
@@ -95,7 +95,7 @@ class LinearReadings:
             )
         setups = tuple(s.name for s in campaign.setups)
         parts, weights = elementary_weights(machine, names, setups)
-        at = machine.model.linearised(machine.values, campaign, parts)
+        at = MeasurementModel(campaign).linearise(machine.model, machine.values, parts)
         _, (row_noise,) = noise_of([campaign], _with_repeatability(machine.spec), noise)
         total = np.hypot(row_noise.sigma, row_noise.common)
         return cls.from_columns(machine, campaign, at.jacobian @ weights, at.reading_poses, total)

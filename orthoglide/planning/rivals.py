@@ -26,7 +26,7 @@ from orthoglide.planning.instrument_choice import suggest_instruments_for_locate
 from orthoglide.planning.linear import LinearReadings
 from orthoglide.planning.pool import reading_pool
 from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
-from orthoglide.prediction import Conditions, ReadingPoses
+from orthoglide.prediction import Conditions, MeasurementModel, ReadingPoses
 from orthoglide.result import Located, WeakDirection
 from orthoglide.text import listed
 
@@ -107,7 +107,7 @@ def next_measurements(
     names = tuple(dict.fromkeys(name for each in parts for name in each))
     weights, covariance = _parameter_map_and_covariance(fit, names, lack_of_fit)
     pool = _loaded_pool(fit)
-    linearised = machine.model.linearised(fit.machine.values, pool, names)
+    linearised = MeasurementModel(pool).linearise(machine.model, fit.machine.values, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions = list[Suggestion]()
     pairs = [*combinations(range(len(rivals)), 2)] if pairs is None else pairs
@@ -124,7 +124,9 @@ def next_measurements(
                 name = f'"{cause_short(machine.catalogue, name)}"'
             name_covariance = to_names @ unknown_covariance @ to_names.T
             candidates.append(Rival(name, values, name_covariance))
-        predicted = [machine.model.readings(rival.values, pool) for rival in candidates]
+        predicted = [
+            MeasurementModel(pool).predict(machine.model, rival.values) for rival in candidates
+        ]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
         suggestions = _suggest_separating(machine, extended, candidates, pairs, count)
     by_unknowns = replace(readings, columns=readings.columns @ weights)

@@ -6,4 +6,3 @@ from orthoglide.prediction.measurement_model import (
     ReadingPoses as ReadingPoses,
 )
 from orthoglide.prediction.model import Model as Model
-from orthoglide.prediction.moved_mechanism import MovedMechanism as MovedMechanism

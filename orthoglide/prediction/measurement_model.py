@@ -20,10 +20,9 @@ from orthoglide.mechanism.rows import blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
-from orthoglide.observations.arrays import group_ids
 from orthoglide.prediction.conditions import Conditions
-from orthoglide.prediction.formulas import Formula
-from orthoglide.prediction.moved_mechanism import MovedMechanism
+from orthoglide.prediction.functions import Formula
+from orthoglide.prediction.model import Model
 
 _ROWS = 4096
 """Rows of a block, which bounds the memory for derivatives of their postures."""
@@ -110,17 +109,17 @@ class MeasurementModel:
         second[:, :3], second[:, 3:6] = self.readings.second[self.paired], 0.0
         return Conditions(np.concatenate([first, second]))
 
-    def by_kind(self, model: MovedMechanism, values: Mapping[str, float]) -> Iterator[KindReadings]:
+    def by_kind(self, model: Model, values: Mapping[str, float]) -> Iterator[KindReadings]:
         """Yield the readings of each kind, ready for their formulas."""
-        r, formulas = self.readings, model.formulas
+        r = self.readings
         for observation, rows in r.observations:
-            effects = formulas.effects(observation)
+            effects = model.instrument_effects(observation)
             mounted = Mounted(
                 r, rows, model.geometry, self.instrument_poses, self.normalized_plate_xy, effects
             )
             mounting = observation.mounting_values(mounted)
             names = tuple(
-                formulas.parameter_names(observation, s.name)
+                model.instrument_parameters(observation, s.name)
                 if s.observation is observation
                 else ()
                 for s in r.setups
@@ -128,13 +127,13 @@ class MeasurementModel:
             table = np.zeros((len(r.setups), max(1, *map(len, names))))
             for row, of_setup in zip(table, names, strict=True):
                 row[: len(of_setup)] = [values.get(name, 0.0) for name in of_setup]
-            formula, setup = formulas.formula(observation, mounting.shape[1]), r.setup[rows]
+            formula, setup = model.formula(observation, mounting.shape[1]), r.setup[rows]
             nuisance = np.zeros((len(rows), observation.nuisance_count))
             if self.nuisance_values is not None:
                 nuisance = self.nuisance_values[setup, : observation.nuisance_count]
             yield KindReadings(formula, rows, mounting, table[setup], nuisance, names)
 
-    def predict(self, model: MovedMechanism, values: Mapping[str, float]) -> Array:
+    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
         """Return the predicted readings ``(n,)``, with :attr:`nuisance_values`."""
         conditions, postures = self.postures(model, values)
         predicted, outputs = np.empty(len(self.readings)), model.outputs(values, conditions).values
@@ -147,7 +146,7 @@ class MeasurementModel:
         return predicted
 
     def linearise(
-        self, model: MovedMechanism, values: Mapping[str, float], names: Sequence[str]
+        self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
         """Return the readings with their derivative by parameters of machine and instruments.
 
@@ -172,7 +171,7 @@ class MeasurementModel:
                         jacobian[rows, column[name]] = found.by_effect[rows, k]
         return LinearRows(found.value, jacobian, found.poses)
 
-    def joint_response(self, model: MovedMechanism, values: Mapping[str, float]) -> JointResponse:
+    def joint_response(self, model: Model, values: Mapping[str, float]) -> JointResponse:
         """Return the response of the readings to virtual joints that move with the conditions."""
         merged, n = self.postures(model, values), len(self.readings)
         found = self._derivatives(model, values, merged, None)
@@ -184,9 +183,7 @@ class MeasurementModel:
 
         return follow
 
-    def postures(
-        self, model: MovedMechanism, names: Iterable[str]
-    ) -> tuple[Conditions, NDArray[np.intp]]:
+    def postures(self, model: Model, names: Iterable[str]) -> tuple[Conditions, NDArray[np.intp]]:
         """Return the distinct conditions for the effects of the parameters ``names``, and for each
         reading the index among them of its command and of its second one ``(2, n)``; of the command
         again where there is no second.
@@ -202,7 +199,7 @@ class MeasurementModel:
 
     def _derivatives(
         self,
-        model: MovedMechanism,
+        model: Model,
         values: Mapping[str, float],
         merged: tuple[Conditions, NDArray[np.intp]],
         names: Sequence[str] | None,
@@ -220,16 +217,7 @@ class MeasurementModel:
         (conditions, postures), kinds = merged, list(self.by_kind(model, values))
         count = JOINT_COUNT if names is None else len(names)
         found = _Derivatives.empty(kinds, len(self.readings), len(self.paired), count)
-        # Readings of a setup in equal postures and with equal numbers of the mounting, which may
-        # contain the time, are predicted once.
-        width = max((kind.mounting_values.shape[1] for kind in kinds), default=0)
-        mounting = np.zeros((len(self.readings), width))
-        for kind in kinds:
-            mounting[kind.rows, : kind.mounting_values.shape[1]] = kind.mounting_values
-        group = group_ids(np.column_stack([*postures, self.readings.setup, mounting]))
-        chosen = np.unique(group, return_index=True)[1]
-        order = np.sort(chosen)
-        order = order[np.argsort(postures[0, order], kind="stable")]
+        order = np.argsort(postures[0], kind="stable")  # a block has few distinct postures
         for part in blocks(len(order), _ROWS):
             rows = order[part]
             distinct, index = np.unique(postures[:, rows], return_inverse=True)
@@ -256,7 +244,7 @@ class MeasurementModel:
             offset = np.einsum("nij,nj->ni", outputs.R[first], self.readings.beside[rows])
             found.poses.offset_from_tool[rows] = offset
             found.poses.p[rows] = outputs.p[first] + offset
-        return found.repeated(chosen[group], self.paired)
+        return found
 
 
 def _chained(
@@ -300,17 +288,3 @@ class _Derivatives:
         poses = ReadingPoses(np.zeros((n, nuisance_count)), np.empty((n, 3)), np.empty((n, 3)))
         by_effect, by_first = np.zeros((n, effect_count)), np.empty((n, count))
         return cls(kinds, np.empty(n), poses, by_effect, by_first, np.empty((k, count)))
-
-    def repeated(self, rows: NDArray[np.intp], paired: NDArray[np.intp]) -> _Derivatives:
-        """Return the derivatives with each row replaced by an equal one.
-
-        Args:
-            rows: of the equal ones ``(n,)``.
-            paired: rows that have a second posture ``(k,)``.
-        """
-        if (rows == np.arange(len(rows))).all():
-            return self
-        poses = ReadingPoses(*(values[rows] for values in vars(self.poses).values()))
-        by_second = self.by_second[np.searchsorted(paired, rows[paired])]
-        return _Derivatives(self.kinds, self.value[rows], poses, self.by_effect[rows],
-                            self.by_first[rows], by_second)  # fmt: skip

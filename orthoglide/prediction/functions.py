@@ -1,17 +1,18 @@
-"""From parameters and conditions to displacements of the virtual joints, as CasADi functions."""
+"""CasADi functions: displacements of the virtual joints, and the formula of a kind of reading."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from orthoglide.effects import Catalogue, LegConditions
+from orthoglide.effects import Catalogue, Effect, LegConditions
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
+from orthoglide.instruments import POSE_SIZE, Observation, ReadingVariables
 from orthoglide.mechanism.rows import CompilableFunctions, RowFunction
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
@@ -163,3 +164,33 @@ class Displacements:
     def condition_jacobian(self, theta: Array, conditions: Array) -> Array:
         """Return the derivative ``(n, 30, 11)`` of the displacements by the conditions."""
         return self._jacobians[1](self.dimensions, theta, conditions)[0]
+
+
+class Formula:
+    """The formula of a kind of reading, as CasADi functions of rows.
+
+    Args:
+        observation: the kind of reading.
+        effects: effects of its instrument, with ``D`` parameters for a setup.
+        numbers: count ``M`` of the numbers that describe a mounting.
+
+    Attributes:
+        function: (pose ``(12,)``, other pose ``(12,)``, mounting ``(M,)``, nuisances ``(K,)``,
+            effects ``(max(D, 1),)``) -> reading.
+        value: :attr:`function` for rows.
+        tangent: readings and their derivatives by pose, other pose, nuisances and effects.
+    """
+
+    def __init__(self, observation: Observation, effects: Sequence[Effect], numbers: int) -> None:
+        count = sum(len(e.parameters(("",))) for e in effects)
+        sizes = (POSE_SIZE, POSE_SIZE, numbers, observation.nuisance_count, max(count, 1))
+        symbols = [ca.SX.sym(name, n) for name, n in zip("pomzv", sizes, strict=True)]
+        pose, other, mounting, nuisance, values = (ca.vertsplit(s) for s in symbols)
+        row = ReadingVariables(pose, other, mounting, nuisance, values[:count])
+        reading = ca.SX(observation.formula(row, effects))
+        self.function = ca.Function(observation.kind, symbols, [reading])
+        by = [ca.densify(ca.gradient(reading, symbols[k])) for k in (0, 1, 3, 4)]
+        self.value = RowFunction(self.function)
+        self.tangent = RowFunction(
+            ca.Function(f"{observation.kind}_tangent", symbols, [reading, *by])
+        )
