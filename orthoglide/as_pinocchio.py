@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orthoglide.arguments import public
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.mechanism.constraints import Constraints
+from orthoglide.mechanism.mechanism import Constraints
 from orthoglide.mechanism.tree import Tree, visual_model
 
 

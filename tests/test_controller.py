@@ -33,7 +33,7 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller, Posterior
-from orthoglide.mechanism.constraints import Constraints
+from orthoglide.mechanism.mechanism import Constraints
 from orthoglide.mechanism.tree import Tree, general_tree
 from orthoglide.prediction import Conditions
 from orthoglide.urdf import closures, read_looped_urdf

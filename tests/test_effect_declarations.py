@@ -18,7 +18,7 @@ from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.custom import load_effects
 from orthoglide.effects.dials import dial_free_forms
-from orthoglide.effects.motions import Constant, sideways
+from orthoglide.effects.effect import Constant, sideways
 from orthoglide.effects.wording import cause_words, confirm_words, value_words
 from orthoglide.errors import InputError
 from orthoglide.parameters import Parameter

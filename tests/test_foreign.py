@@ -14,8 +14,7 @@ import pytest
 from orthoglide.errors import ClosureError, FileError, InputError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.constraints import Constraints
-from orthoglide.mechanism.mechanism import Posture
+from orthoglide.mechanism.mechanism import Constraints, Posture
 from orthoglide.mechanism.tree import Tree, general_tree, load
 from orthoglide.reduction.spheres import intersect_spheres
 from orthoglide.urdf import CLOSURES_FILE, write

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.effects.free_form import shared_functions
-from orthoglide.explanation import compression, free_form, screening
+from orthoglide.explanation import compression, screening
 from orthoglide.explanation.columns import linearise_full_model
 from orthoglide.explanation.compression import MergedRows
 from orthoglide.observations.arrays import equal_rows
@@ -108,34 +107,6 @@ def test_equal_rows_are_stored_once() -> None:
     assert np.array_equal(merged.columns(), whole)
     vector = rng.standard_normal(4)
     assert merged @ vector == pytest.approx(whole @ vector)
-
-
-def test_multiples_of_a_column_are_stored_once() -> None:
-    """Columns, rows, products and parts of a matrix whose blocks are read with factors."""
-    rng = np.random.default_rng(0)
-    plain, shared = rng.standard_normal((2, 6, 2))
-    number, factor = np.array([1, 0, 1]), np.array([2.0, 1.0, -0.5])
-    merged = MergedRows((), np.arange(6)).beside([plain]).beside([shared], (number, factor))
-    whole = np.hstack([plain, shared[:, number] * factor])
-    assert [block.shape[1] for block, _ in merged.blocks] == [2, 2]
-    assert np.array_equal(merged.columns(), whole)
-    assert np.array_equal(merged.rows(np.array([4, 1])), whole[[4, 1]])
-    vector = rng.standard_normal(5)
-    assert merged @ vector == pytest.approx(whole @ vector)
-    reduced = merged.reduced_to(np.array([3]))
-    assert np.array_equal(reduced.columns([2, 3, 4]), whole[:, 2:])
-
-
-def test_functions_of_one_part_and_variable_are_computed_once() -> None:
-    """Columns of all free-form errors as multiples of a sixth fewer."""
-    fit = og.identify(replace(measured(), time=60.0 * np.arange(len(measured()))), MACHINE)
-    problem, nothing = fit.problem, np.zeros((len(fit.residuals), 0))
-    blocks, errors = free_form.free_form_columns(problem, fit.x, fit.residuals, nothing)
-    carriers, number, factor = shared_functions(errors)
-    stored = np.hstack([*blocks])
-    whole = np.hstack([*free_form._columns_of_factors(problem, fit.x, errors, problem.factors)])
-    assert stored[:, number] * factor == pytest.approx(whole, rel=1e-12, abs=1e-18)
-    assert stored.shape[1] == sum(e.kernel.count for e in carriers) < 0.85 * whole.shape[1]
 
 
 def test_rows_of_many_readings_take_half_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ import orthoglide as og
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings, campaign_text, read_readings
-from orthoglide.observations.repetition import repeat_steps
+from orthoglide.observations.tables import repeat_steps
 from orthoglide.planning import tool_sheets
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig

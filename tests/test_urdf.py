@@ -21,8 +21,8 @@ from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.constraints import Constraints
 from orthoglide.mechanism.engine import PinocchioEngine, SixBars
+from orthoglide.mechanism.mechanism import Constraints
 from orthoglide.mechanism.symbolic import closure_functions
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, load
 from orthoglide.urdf import CLOSURES_FILE, URDF_FILE, shipped_folder

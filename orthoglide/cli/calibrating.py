@@ -264,7 +264,7 @@ def check(
     with progress(quiet) as step:
         from orthoglide.checking import check as compare, read_states
         from orthoglide.checking.pages import changes_text, check_files
-        from orthoglide.observations.repetition import copied_files
+        from orthoglide.observations.tables import copied_files
 
         robot = None if machine.path is None else machine.load()
         old, new = read_states(states[0], states[1], robot, machine.effects)

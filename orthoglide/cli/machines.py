@@ -204,9 +204,8 @@ def _compute(
     import numpy as np
 
     from orthoglide.observations.checks import check_commands
-    from orthoglide.observations.columns import native_command_column, stated_commands
     from orthoglide.observations.schema import APPROACH, POINT
-    from orthoglide.observations.table import read_table
+    from orthoglide.observations.table import native_command_column, read_table, stated_commands
 
     def solve(inputs: Array, fail: Fail, as_travel: bool = False, **approach: Array) -> Array:
         """Return the TCP of commands ``(n, 3)``, or the commands of a TCP, metres."""

@@ -18,10 +18,9 @@ from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import CrossCheck, Estimate, solve
-from orthoglide.fit.assembling import with_free
-from orthoglide.fit.excitation import excited_effects, unmet_conditions
+from orthoglide.fit.assembling import excited_effects, unmet_conditions, with_free
+from orthoglide.fit.estimate import fitted_readings
 from orthoglide.fit.noise_notes import noise_scales
-from orthoglide.fit.reading_tables import fitted_readings
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
 from orthoglide.notes import Note

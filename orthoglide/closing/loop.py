@@ -37,7 +37,7 @@ from orthoglide.fit.plausible import check_plausible
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.observations import Readings
-from orthoglide.observations.repetition import shared_fraction
+from orthoglide.observations.tables import shared_fraction
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import HoldOut, LackOfFit, Request, Word
 from orthoglide.threads import on_one_thread

@@ -24,9 +24,8 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import derive_approach
 from orthoglide.observations.checks import STROKE_SLACK
-from orthoglide.observations.columns import native_command_names
 from orthoglide.observations.schema import APPROACH, PLACE, POINT, TRAVEL
-from orthoglide.observations.table import read_table
+from orthoglide.observations.table import native_command_names, read_table
 from orthoglide.prediction import Conditions
 from orthoglide.text import csv_text
 

@@ -5,9 +5,10 @@ from orthoglide.effects.catalogue import (
     Catalogue as Catalogue,
     catalogue_of as catalogue_of,
 )
-from orthoglide.effects.effect import DRIVE_ENTRIES as DRIVE_ENTRIES, Effect as Effect
-from orthoglide.effects.motions import (
+from orthoglide.effects.effect import (
+    DRIVE_ENTRIES as DRIVE_ENTRIES,
     DialReading as DialReading,
+    Effect as Effect,
     LegConditions as LegConditions,
     Motion as Motion,
     cos as cos,

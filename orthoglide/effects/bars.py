@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import Constant, LegConditions, Motion, once
+from orthoglide.effects.effect import Constant, Effect, LegConditions, Motion, once
 from orthoglide.effects.words import Words
 from orthoglide.units import MM, Unit
 

@@ -71,13 +71,8 @@ _TRAVEL_BUMP_HEIGHT = 30 * _UM
 def travel_bumps(
     travel: Sequence[Collection[float]], names: LegNames, stroke: Range, scale: float = 1.0
 ) -> tuple[FreeForm, ...]:
-    """Return the bumps of drives and rails at given travels.
-
-    Args:
-        travel: of the bumps of each leg, metres from mechanical zero.
-        names: of the legs.
-        stroke: first and last travel, metres.
-        scale: size of the machine relative to a workshop's.
+    """Return the bumps of drives and rails at given travels of each leg, metres from mechanical
+    zero; ``scale``: size of the machine relative to a workshop's.
     """
     middle, half = (stroke[0] + stroke[1]) / 2, (stroke[1] - stroke[0]) / 2
     candidates: tuple[tuple[Part, str], ...] = (("drive", ""), ("rail", "b"), ("rail", "c"))
@@ -104,13 +99,8 @@ _DIAL_BUMP_HEIGHT = 10 * _UM
 
 
 def with_dial_bump(form: FreeForm, reading: float, width: float, count: int) -> FreeForm:
-    """Return the error of a dial about one reading alone.
-
-    Args:
-        form: the dial's curve by its reading.
-        reading: the reading, metres.
-        width: standard deviation of the bump, metres.
-        count: number of possible readings, among which the prior probability is divided.
+    """Return a dial's curve as its error about one reading alone, metres, one of ``count`` possible
+    ones, among which the prior probability is divided; ``width``: its standard deviation, metres.
     """
     low, high = form.span or (0.0, 1.0)
     half = (high - low) / 2

@@ -13,8 +13,7 @@ from typing import Any
 
 from orthoglide.effects import bars, dials, drives, plates, rails
 from orthoglide.effects.custom import check_bases
-from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import Motion
+from orthoglide.effects.effect import Effect, Motion
 from orthoglide.errors import InputError
 from orthoglide.layout import Layout, LegNames, Orthoglide
 from orthoglide.parameters import Parameter, effect_name, setup_parts, split_campaign

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import DialReading, LegConditions
+from orthoglide.effects.effect import DialReading, Effect, LegConditions
 from orthoglide.errors import FileError, InputError
 
 _ARITHMETIC = (

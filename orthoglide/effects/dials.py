@@ -6,11 +6,10 @@ catalogue: the stem turns, the dial magnifies its displacement, the stand creeps
 
 from __future__ import annotations
 
-from orthoglide.effects.effect import Effect
+from orthoglide.effects.effect import Effect, cos, sin
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.free_form_place import Dependence, FreeFunctions, Range
 from orthoglide.effects.kernels import Kernel, Level
-from orthoglide.effects.motions import cos, sin
 from orthoglide.effects.words import Words
 from orthoglide.units import ONE, RAD, Unit
 

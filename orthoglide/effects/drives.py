@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import Constant, LegConditions, Motion, cos, once, sin
+from orthoglide.effects.effect import Constant, Effect, LegConditions, Motion, cos, once, sin
 from orthoglide.effects.words import Words
 from orthoglide.units import MM, ONE, Unit
 

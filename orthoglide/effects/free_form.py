@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.effects import free_form_words, kernels
-from orthoglide.effects.effect import Effect
+from orthoglide.effects.effect import Effect, LegConditions, Members, Motion
 from orthoglide.effects.free_form_place import FreeFormPlace, Part, Range
 from orthoglide.effects.kernels import Kernel, Step
-from orthoglide.effects.motions import LegConditions, Members, Motion
 from orthoglide.geometry import LEGS, Array
 from orthoglide.layout import LegNames, Orthoglide
 from orthoglide.units import MM, RAD
@@ -117,14 +115,6 @@ class FreeForm(FreeFormPlace):
         """What to look at on the machine."""
         return free_form_words.look_at(self)
 
-    @property
-    def family(self) -> FreeForm:
-        """What errors share whose functions have the same eigenfunctions; others are alone."""
-        if not isinstance(self.kernel, Kernel):
-            return self
-        kernel = replace(kernels.LINE, from_zero=self.kernel.from_zero)
-        return replace(self, kernel=kernel, prior_sd=1.0, chance=1.0, short_waves=False)
-
     def functions(self, conditions: LegConditions, which: slice = slice(None)) -> list[Any]:
         """The free functions at these conditions, for coefficients of unit variance."""
         if self.against == "reversal":
@@ -182,49 +172,6 @@ def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> A
     return share * form.functions(conditions, slice(k, k + 1))[0]
 
 
-class SharedFunctions(NamedTuple):
-    """Functions of free-form errors as multiples of fewer: kernels of one variable have the same
-    eigenfunctions, with other weights.
-    """
-
-    carriers: tuple[FreeForm, ...]  # errors that have all of the functions, each once
-    number: NDArray[np.intp]  # of the carriers' function that each coefficient's is a multiple of
-    factor: Array  # of that function, for each coefficient (C,)
-
-
-def shared_functions(errors: Sequence[FreeForm]) -> SharedFunctions:
-    """Return the functions of free-form errors, those of one part and variable once."""
-    families = dict[FreeForm, list[FreeForm]]()
-    for error in errors:
-        families.setdefault(error.family, []).append(error)
-    carriers = {family: _carrier(members) for family, members in families.items()}
-    starts, end = dict[FreeForm, int](), 0
-    for family, carrier in carriers.items():
-        starts[family], end = end, end + carrier.kernel.count
-    numbers, factors = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
-    for error in errors:
-        kernel, carrier = error.kernel, carriers[error.family]
-        number, factor = np.arange(kernel.count), np.ones(kernel.count)
-        if isinstance(kernel, Kernel) and isinstance(carrier.kernel, Kernel):
-            number[kernel.waves :] = carrier.kernel.waves  # the line comes last
-            factor = error.prior_sd * kernel.weights
-            factor /= carrier.prior_sd * carrier.kernel.weights[number]
-        numbers.append(starts[error.family] + number)
-        factors.append(factor)
-    return SharedFunctions(
-        tuple(carriers.values()), np.concatenate(numbers), np.concatenate(factors)
-    )
-
-
-def _carrier(members: Sequence[FreeForm]) -> FreeForm:
-    """Return the error with the functions of all errors of a family."""
-    waves = [member.kernel for member in members if isinstance(member.kernel, Kernel)]
-    if not waves:
-        return members[0]
-    widest = max(waves, key=lambda kernel: kernel.waves)
-    return replace(members[0], kernel=replace(widest, line=any(k.line for k in waves)))
-
-
 _SCREW_GROWTH = 10 * _UM  # half a stroke of steel, 80 mm, that warms by ten kelvin
 # Linear warming of a drive is as frequent as that of bars, which is a cause of the catalogue: ten
 # times as frequent as a free-form error.
@@ -246,13 +193,8 @@ def free_forms(
     stroke: Range = (-kernels.LENGTH, kernels.LENGTH),
     scale: float = 1.0,
 ) -> tuple[FreeForm, ...]:
-    """Return all free-form errors of a machine.
-
-    Args:
-        session: of the campaign; without one, nothing changes with time.
-        names: of legs and directions.
-        stroke: travel limits of the machine, metres.
-        scale: of its size, that of a workshop being 1.
+    """Return all free-form errors of a machine, of its size relative to a workshop's; without a
+    session, nothing changes with time.
     """
     half = (stroke[1] - stroke[0]) / 2
     forms: list[FreeForm] = []

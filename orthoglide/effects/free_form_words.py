@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from orthoglide.effects.free_form_place import FreeFormPlace
-from orthoglide.effects.words import Words, toward
+from orthoglide.effects.words import Words, filled, quantity, toward
 from orthoglide.numerals import MINUS, compact
 from orthoglide.parameters import Parameter
 
 
 def effect_words(form: FreeFormPlace) -> Words:
     """Return the texts of the effect of an error, whose value is its size."""
+    words, sign = clause(form), f"{{+|{MINUS}}}" * form.is_signed
+    text = words.replace("{", "{{").replace("}", "}}")  # a setup may be called anything
     return Words(
-        one=partial(_sized_clause, form),
-        short=partial(_clause_of_parameter, form),
-        many=clause(form),
-        size=partial(size_words, form),
-        confirm=partial(_test_of_parameter, form),
-        noun=f"error that {clause(form)}",
+        one=f"{text}, by {sign}{{size}}{size_place(form.part)}",
+        short=text,
+        many=words,
+        size=f"{{{_unit(form)}}}{_measure(form)}",
+        confirm=_test(form),
+        noun=f"error that {words}",
     )
-
-
-def _sized_clause(form: FreeFormPlace, _: Parameter, size: float) -> str:
-    return f"{clause(form)}, by {signed_size_words(form, size)}{size_place(form.part)}"
-
-
-def _clause_of_parameter(form: FreeFormPlace, _: Parameter) -> str:
-    return clause(form)
-
-
-def _test_of_parameter(form: FreeFormPlace, _: Parameter, size: float) -> str:
-    return confirming_test(form, size)
 
 
 def size_place(part: str) -> str:
@@ -120,12 +108,18 @@ def look_at(form: FreeFormPlace) -> str:
     return form.names.in_layout_words(part)
 
 
+def _unit(form: FreeFormPlace) -> str:
+    return "mrad" if form.is_rotation else "mm"
+
+
+def _measure(form: FreeFormPlace) -> str:
+    """Return what the size is, if it is a root mean square about a mean that zeros absorb."""
+    return "" if form.has_level else " rms"
+
+
 def size_words(form: FreeFormPlace, size: float) -> str:
-    """Return the absolute value of a size, SI, with its unit, and whether it is a root mean square
-    about a mean that is part of the zeros.
-    """
-    unit = "mrad" if form.is_rotation else "mm"
-    return f"{compact(abs(size) * 1e3, 2)} {unit}{'' if form.has_level else ' rms'}"
+    """Return the absolute value of a size, SI, with its unit and measure."""
+    return quantity(size, _unit(form)) + _measure(form)
 
 
 def signed_size_words(form: FreeFormPlace, size: float) -> str:
@@ -136,7 +130,7 @@ def signed_size_words(form: FreeFormPlace, size: float) -> str:
 
 _DIAL_REVERSAL_TEST = (
     "read one gauge block twice, first after a shorter block and then after a longer one: the two "
-    "readings should differ by {}"
+    "readings should differ by {size}"
 )
 
 
@@ -144,9 +138,13 @@ def confirming_test(form: FreeFormPlace, size: float) -> str:
     """Return the test that shows lost motion or a step of a size, SI, at a drive, a rail, the
     platform or a dial; empty for other errors.
     """
-    words = size_words(form, size)
+    return filled(_test(form), Parameter("effect"), size, size_words(form, size))
+
+
+def _test(form: FreeFormPlace) -> str:
+    """Return that test with blanks for the size and the sign."""
     if form.of_dial:
-        return _DIAL_REVERSAL_TEST.format(words) if form.depends_on_approach else ""
+        return _DIAL_REVERSAL_TEST if form.depends_on_approach else ""
     leg = form.names.legs[form.leg]
     spot = {
         "drive": f"carriage {leg} along its travel",
@@ -159,17 +157,17 @@ def confirming_test(form: FreeFormPlace, size: float) -> str:
     if form.is_step:
         low, high = form.travels_of_step
         way = f"{high} to {low}" if form.side < 0 else f"{low} to {high}"
-        direction = form.names.slide_end_words[bool(size > 0)][1]
+        inward, outward = (words[1] for words in form.names.slide_end_words)
         return (
-            f"read a dial on {spot} every millimetre from {way} mm: expect a step of {words} "
-            f"{direction} as travel grows"
+            f"read a dial on {spot} every millimetre from {way} mm: expect a step of {{size}} "
+            f"{{{outward}|{inward}}} as travel grows"
         )
     if form.against == "approach":
         return (
             f"set a dial on {spot} and come to one place from smaller and from larger travel of "
-            f"{leg}: expect {words} between the two"
+            f"{leg}: expect {{size}} between the two"
         )
     return (
         f"set a dial on {spot}, approach one place after a long way in one direction, then again "
-        f"with a reversal just before it: the two readings should differ by up to {words}"
+        f"with a reversal just before it: the two readings should differ by up to {{size}}"
     )

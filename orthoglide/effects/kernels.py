@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects.motions import exp, sin
+from orthoglide.effects.effect import exp, sin
 from orthoglide.geometry import Array
 
 _INTERVAL_RATIO = 1.25

@@ -122,15 +122,12 @@ DELTA_EFFECTS = (PLATE_SADDLE, PART_SIZE, PILLAR_WIDTH)
 
 
 def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:
-    """Return small shapes of degree 2 to 4, with their standard deviations.
+    """Return small shapes of degree 2 to 4 at positions on the plate over its radius ``(n, 2)``,
+    with their standard deviations, for a machine's size relative to a workshop's.
 
     A plate is never flat apart from a bowl, a saddle and three lobes, and its residual shape is no
     cause in the machine. Small saddles belong to it, so that only larger ones are causes. Each
     degree of the polynomial halves the expected size.
-
-    Args:
-        position: on the plate over its radius ``(n, 2)``.
-        scale: of the machine's size, that of a workshop being 1.
     """
     x, y = position.T
     radius_squared = x**2 + y**2

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from orthoglide.effects.effect import Effect
-from orthoglide.effects.motions import Constant, LegConditions, Motion, once, sideways
+from orthoglide.effects.effect import Constant, Effect, LegConditions, Motion, once, sideways
 from orthoglide.effects.words import Words
 from orthoglide.units import MM, RAD
 

@@ -46,14 +46,8 @@ def cause_words(catalogue: Catalogue, name: str, values: Mapping[str, float]) ->
 
 
 def size_and_high_side(catalogue: Catalogue, values: Mapping[str, float]) -> tuple[float, float]:
-    """Return the size of one parameter or pair, and the direction of a high side of a plate.
-
-    Args:
-        catalogue: catalogue that contains the effect.
-        values: identified values of its parameters, SI.
-
-    Returns:
-        The value, of a pair its size, SI; and degrees as of `Effect.high_side`.
+    """Return the size of one parameter, or of a pair, SI, and the direction of a high side of a
+    plate, degrees as of `Effect.high_side`, from identified values.
     """
     by_direction = {}
     for name, value in values.items():
@@ -76,13 +70,8 @@ def cause_short(catalogue: Catalogue, name: str) -> str:
 def value_words(
     effect: Effect, parameter: Parameter, value: float, high_side: float | None = None
 ) -> str:
-    """Return the clause of one parameter with its value, SI, or of a pair with its amplitude.
-
-    Args:
-        effect: its effect.
-        parameter: the parameter, or what those of a pair share.
-        value: SI.
-        high_side: of the pair of a plate, degrees; by default that of the parameter alone.
+    """Return the clause of one parameter with its value, SI, or of what those of a pair share with
+    its amplitude; the high side of a plate, degrees, is by default that of the parameter alone.
     """
     if effect.words.one is not None:
         return _clause(effect, effect.words.one, parameter, value, high_side)

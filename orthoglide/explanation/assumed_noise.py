@@ -17,7 +17,7 @@ from orthoglide.fit import Factor, Problem
 from orthoglide.fit.noise import noise_of, rms_noise
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
-from orthoglide.observations.repetition import repeat_rows, repeat_steps
+from orthoglide.observations.tables import repeat_rows, repeat_steps
 from orthoglide.ordering import best_of
 
 _LEAST_NOISE_SQUARE = 1e-4  # least ratio of squared noise: computed readings have none

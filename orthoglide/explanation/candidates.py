@@ -14,7 +14,7 @@ from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.linear_model import FREE_FORM_PRIOR, Group, identity_group
 from orthoglide.fit import Problem
-from orthoglide.fit.excitation import excited_effects
+from orthoglide.fit.assembling import excited_effects
 from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter

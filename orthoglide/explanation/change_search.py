@@ -27,7 +27,7 @@ from orthoglide.explanation.linear_model import (
 )
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.fit import Estimate, Problem, with_effects_freed, with_free
-from orthoglide.fit.excitation import excited_effects
+from orthoglide.fit.assembling import excited_effects
 from orthoglide.fit.least_squares import linearise, nuisances
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.fit.unknowns import Unknown, share_plate_shapes

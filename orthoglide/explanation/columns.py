@@ -10,7 +10,7 @@ import numpy as np
 
 from orthoglide.accuracy import workspace_grid
 from orthoglide.effects import Effect
-from orthoglide.effects.free_form import FreeForm, shared_functions
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.candidates import build_groups, coefficient_spans
 from orthoglide.explanation.compression import MOST_RANKED_READINGS, MergedRows, WhitenedReadings
 from orthoglide.explanation.dial_curves import dial_curve_columns
@@ -38,7 +38,7 @@ from orthoglide.explanation.linear_model import (
 from orthoglide.explanation.screening import Screening
 from orthoglide.explanation.twins import tool_slopes, translations, twins
 from orthoglide.fit import Estimate, Problem, with_effects_freed
-from orthoglide.fit.excitation import excited_effects
+from orthoglide.fit.assembling import excited_effects
 from orthoglide.fit.least_squares import (
     Linearised,
     Nuisances,
@@ -308,7 +308,7 @@ def _scaled_columns(
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
     rows = MergedRows((), index).beside([linearised.jacobian * sd])
-    rows = rows.beside(machine_blocks, shared_functions(machine_errors)[1:])
+    rows = rows.beside(machine_blocks)
     return rows.beside([*dial_blocks, plate_block]), units, errors, len(plate_sd)
 
 

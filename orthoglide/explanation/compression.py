@@ -13,7 +13,7 @@ the stations, and its degrees of freedom, are kept.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -41,8 +41,7 @@ _ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MergedRows:
-    """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once, and
-    multiples of one column once.
+    """A matrix ``(n, C)`` as blocks of columns side by side, whose equal rows are stored once.
 
     Blocks are not copied into one array, which would need as much memory again. Those of readings
     that are not ranked have single precision: the square of its rounding is below ``_ROUNDING``.
@@ -51,22 +50,10 @@ class MergedRows:
     # columns by distinct row, and the index of each row among these (n,); parameters come first
     blocks: tuple[tuple[Array, NDArray[np.int64]], ...]
     index: NDArray[np.int64]  # from `equal_rows`: number of each row among the distinct ones (n,)
-    # of the stored column that each column is a multiple of, and its factor (C,)
-    stored: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    factor: Array = field(default_factory=lambda: np.zeros(0))
 
-    def beside(
-        self,
-        blocks: Iterable[Array],
-        multiples: tuple[NDArray[np.intp], Array] | None = None,
-    ) -> MergedRows:
-        """Return the matrix with further blocks.
-
-        Args:
-            blocks: of all rows ``(n, K)``, or of the first of each set of equal rows ``(m, K)``;
-                columns of all rows may differ within such a set.
-            multiples: index among the columns of ``blocks`` and factor of each further column; by
-                default the columns themselves.
+    def beside(self, blocks: Iterable[Array]) -> MergedRows:
+        """Return the matrix with further blocks, of all rows ``(n, K)``, or of the first of each
+        set of equal rows ``(m, K)``; columns of all rows may differ within such a set.
         """
         first, every, index = self.first, np.arange(len(self.index)), self.index
         precision = np.float64 if len(every) <= MOST_RANKED_READINGS else np.float32
@@ -79,13 +66,7 @@ class MergedRows:
         varying = [block for block, rows in added if rows is every]
         if varying:
             index = equal_rows(np.column_stack([index, *varying]))
-        every_block = *self.blocks, *added
-        width = [block.shape[1] for block, _ in every_block]
-        start = sum(width[: len(self.blocks)])
-        count = sum(width) - start
-        number, factor = (np.arange(count), np.ones(count)) if multiples is None else multiples
-        stored = np.concatenate([self.stored, start + number])
-        return MergedRows(every_block, index, stored, np.concatenate([self.factor, factor]))
+        return MergedRows((*self.blocks, *added), index)
 
     @cached_property
     def first(self) -> NDArray[np.int64]:
@@ -94,7 +75,7 @@ class MergedRows:
 
     @cached_property
     def _ends(self) -> NDArray[np.intp]:
-        """Index of the stored column after each block ``(blocks,)``."""
+        """Index of the column after each block ``(blocks,)``."""
         return np.cumsum([block.shape[1] for block, _ in self.blocks])
 
     def reduced_to(self, columns: NDArray[np.intp]) -> MergedRows:
@@ -102,7 +83,7 @@ class MergedRows:
 
         All columns keep their numbers; only those of the blocks that stay may be read.
         """
-        kept = np.isin(np.arange(self._ends[-1]), self.stored[columns])
+        kept = np.isin(np.arange(self._ends[-1]), columns)
         blocks = [
             (block if part.any() else np.empty((0, len(part))), index)
             for (block, index), part in zip(
@@ -113,27 +94,21 @@ class MergedRows:
 
     def rows(self, which: NDArray[np.int64]) -> Array:
         """Return some rows ``(k, C)``."""
-        return self.stored_rows(which)[:, self.stored] * self.factor
-
-    def stored_rows(self, which: NDArray[np.int64]) -> Array:
-        """Return some rows of the stored columns ``(k, S)``."""
         return np.hstack([block[index[which]] for block, index in self.blocks])
 
     def columns(self, which: Any = slice(None)) -> Array:
         """Return some columns ``(n, k)``, by an index of NumPy, or all of them."""
-        chosen = self.stored[which]
+        chosen = np.arange(self._ends[-1])[which]
         number = np.searchsorted(self._ends, chosen, side="right")
         columns = np.empty((len(self.index), len(chosen)))
         for k in np.unique(number).tolist():
             (block, index), in_block = self.blocks[k], number == k
             columns[:, in_block] = block[:, chosen[in_block] - self._ends[k]][index]
-        columns *= self.factor[which]
         return columns
 
     def __matmul__(self, vector: Array) -> Array:
         """Return the product with a vector ``(C,)``: ``(n,)``."""
-        of_stored = np.bincount(self.stored, vector * self.factor, minlength=self._ends[-1])
-        parts = zip(self.blocks, np.split(of_stored, self._ends[:-1]), strict=True)
+        parts = zip(self.blocks, np.split(vector, self._ends[:-1]), strict=True)
         return np.asarray(sum((block @ part)[index] for (block, index), part in parts))
 
 
@@ -200,7 +175,7 @@ def compress_readings(
     gram, station_chi2 = tail.T @ tail, 0.0
     station_gram = np.zeros_like(gram)
     for block, weighing in _station_blocks(nuisance.weighing):
-        whitened = weighing.whiten(readings.stored_rows(first[block]))
+        whitened = weighing.whiten(readings.rows(first[block]))
         whitened -= basis[block] @ nuisance_part
         gram_of_block = whitened.T @ whitened
         gram += gram_of_block
@@ -217,7 +192,7 @@ def compress_readings(
     kept = values > _ROUNDING * max(values.max(initial=0.0), 1.0)
     values, vectors = values[kept], vectors[:, kept]
     transform = (vectors / np.sqrt(values)) / length[:, None]
-    columns = ((vectors * np.sqrt(values)).T * length)[:, rows.stored] * rows.factor
+    columns = (vectors * np.sqrt(values)).T * length
     compressed_residual = transform.T @ gram[:-1, -1]
     stations = nuisance.weighing.first_rows
     remainder = max(station_chi2 - float(compressed_residual @ compressed_residual), 0.0)

@@ -48,7 +48,7 @@ from orthoglide.explanation.full_posterior import (
 from orthoglide.explanation.overstated_noise import State, with_likelier_noise
 from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
 from orthoglide.fit import Estimate, Problem
-from orthoglide.fit.reading_tables import row_indices
+from orthoglide.fit.estimate import row_indices
 from orthoglide.fit.scores import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source

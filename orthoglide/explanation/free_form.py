@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.effects.bumps_and_jumps import jumping, travel_bumps, with_jump, with_period
-from orthoglide.effects.free_form import FreeForm, Session, free_forms, shared_functions
+from orthoglide.effects.free_form import FreeForm, Session, free_forms
 from orthoglide.effects.kernels import BUILD_UP, Level, Wave
 from orthoglide.effects.plates import residual_plate_shapes
 from orthoglide.fit import Problem
-from orthoglide.fit.excitation import axes_approached_from_both_sides
+from orthoglide.fit.assembling import axes_approached_from_both_sides
 from orthoglide.fit.least_squares import project_out
 from orthoglide.fit.problem import Factor
 from orthoglide.geometry import LEGS, Array
@@ -123,8 +123,8 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each carrier (`shared_functions`) of the free-form errors,
-    by prior standard deviation, and all of these errors.
+    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and these
+    errors.
 
     Readings under equal conditions have equal columns, except of errors that depend on time or on
     the reading before. With ``first``, only the columns of these have all rows; all other columns
@@ -152,14 +152,13 @@ def free_form_columns(
     if not paired:
         waves = [error for error in errors if error.short_waves]
         errors += tuple(_wave_candidates(problem, x, residual, waves, fitted))
-    carriers = shared_functions(errors).carriers
     if first is None or len(first) == len(residual):
-        return _columns_of_factors(problem, x, carriers, problem.factors), errors
+        return _columns_of_factors(problem, x, errors, problem.factors), errors
     parts = [first[(first >= p.start) & (first < p.stop)] - p.start for p in problem.factor_rows]
     few = [factor.subset(rows) for factor, rows in zip(problem.factors, parts, strict=True)]
-    needs_all_rows = [error.against in ("time", "reversal") for error in carriers]
+    needs_all_rows = [error.against in ("time", "reversal") for error in errors]
     blocks = {
-        every: _columns_of_factors(problem, x, [*compress(carriers, selected)], factors)
+        every: _columns_of_factors(problem, x, [*compress(errors, selected)], factors)
         for every, factors, selected in (
             (True, problem.factors, needs_all_rows), (False, few, np.logical_not(needs_all_rows))
         )

@@ -20,9 +20,8 @@ from orthoglide.explanation.change_search import (
     most_probable_changes,
     possible_changes,
 )
-from orthoglide.fit.assembling import with_free
+from orthoglide.fit.assembling import excited_effects, with_free
 from orthoglide.fit.estimate import Estimate
-from orthoglide.fit.excitation import excited_effects
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.solving import Method, solve
 from orthoglide.fit.unknowns import share_plate_shapes

@@ -17,7 +17,7 @@ from orthoglide.explanation.candidates import Candidate, candidates
 from orthoglide.explanation.linear_model import left_singular, shrink_along
 from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Estimate, with_effects_freed
-from orthoglide.fit.excitation import excited_effects
+from orthoglide.fit.assembling import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, project_out, whiten_and_project
 from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array

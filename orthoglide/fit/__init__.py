@@ -6,18 +6,19 @@ In the order of the data:
 - ``repeats``: noise that readings show, and ``noise``: the standard deviation of each reading.
 - ``factors``: a table of readings with its noise and its instruments in place.
 - ``unknowns``: the parameters to identify; ``problem``: unknowns and factors of an identification,
-  ``assembling``: its construction; ``excitation``: effects that its readings could show.
+  ``assembling``: its construction, and the effects that its readings could show.
 - ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
 - ``solving``: choice of the method and tests of its answer; ``gauss_newton``: nested closures;
   ``nlp``: a programme with the closures as constraints.
 - ``crosscheck``: comparison with the reduction, and with postures closed by Pinocchio.
-- ``scores``: goodness of fit; ``estimate``: identified values with their uncertainty.
-- ``notes``, ``noise_notes``: notes for the user; ``reading_tables``: readings for figures.
+- ``scores``: goodness of fit; ``estimate``: identified values with their uncertainty, and readings
+  for figures; ``notes``, ``noise_notes``: notes for the user.
 """
 
 from orthoglide.fit.assembling import (
     assemble as assemble,
     build_problem as build_problem,
+    excited_effects as excited_effects,
     points_of as points_of,
     read_tables as read_tables,
     readings_of as readings_of,
@@ -26,7 +27,6 @@ from orthoglide.fit.assembling import (
 )
 from orthoglide.fit.crosscheck import CrossCheck as CrossCheck
 from orthoglide.fit.estimate import Estimate as Estimate
-from orthoglide.fit.excitation import excited_effects as excited_effects
 from orthoglide.fit.factors import Factor as Factor
 from orthoglide.fit.least_squares import (
     linearise as linearise,

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
+from orthoglide.effects import Effect
 from orthoglide.errors import InputError, check_choice, check_list
 from orthoglide.fit.factors import Factor, machine_instrument_priors
 from orthoglide.fit.noise import Noise, noise_of, rms_noise
 from orthoglide.fit.problem import Problem
 from orthoglide.fit.unknowns import NOTHING_FREE, Unknown, build_unknowns, expand_names, with_bounds
+from orthoglide.geometry import Array
 from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
@@ -119,12 +122,9 @@ def _held_values(
 
 
 def with_free(problem: Problem, names: Sequence[str], *, release: bool = True) -> Problem:
-    """Return the problem with further unknowns behind its own.
-
-    Args:
-        problem: to be extended.
-        names: effects, parameters or structured members; with ``@`` only that campaign's.
-        release: whether their held values are released; if not, the unknowns are changes of them.
+    """Return the problem with further unknowns behind its own: effects, parameters or structured
+    members, with ``@`` only that campaign's. Their held values are released, or else the unknowns
+    are changes of them.
     """
     present = set(problem.names)
     added: list[Unknown] = []
@@ -209,3 +209,43 @@ def _as_list(given: Any) -> list[Any]:
     """One or several as a list; a path is one, and so is a data frame, which is none of them."""
     is_single = isinstance(given, str | Mapping) or hasattr(given, "columns")
     return [given] if is_single or not isinstance(given, Iterable) else list(given)
+
+
+def excited_effects(problem: Problem) -> tuple[Effect, ...]:
+    """Return the effects beyond the base whose conditions the readings vary."""
+    catalogue = problem.machine.catalogue
+    return tuple(
+        effect
+        for effect in catalogue.effects
+        if effect.name not in catalogue.base
+        and not unmet_conditions(problem, effect)
+        and not (effect.instead_of and _CONDITION_TESTS[effect.instead_of](problem))
+        and (not effect.of_dial or any(f.setups_of(effect) for f in problem.factors))
+    )
+
+
+def unmet_conditions(problem: Problem, effect: Effect) -> tuple[str, ...]:
+    """Return the conditions that an effect needs and the readings do not vary."""
+    return tuple(sorted(need for need in effect.needs if not _CONDITION_TESTS[need](problem)))
+
+
+def axes_approached_from_both_sides(approach: Array) -> NDArray[np.bool_]:
+    """Return which axes ``(3,)`` readings ``(n, 3)`` approach from both sides, as booleans."""
+    return np.asarray((approach > 0).any(axis=0) & (approach < 0).any(axis=0))
+
+
+def _varies(problem: Problem, column: str) -> bool:
+    """Return whether the finite values of a column differ in any table."""
+    columns = [getattr(factor.readings, column) for factor in problem.factors]
+    return any(len(np.unique(values[np.isfinite(values)])) > 1 for values in columns)
+
+
+_CONDITION_TESTS: Mapping[str, Callable[[Problem], bool]] = {
+    "approach": lambda problem: any(
+        axes_approached_from_both_sides(f.conditions().approach).any() for f in problem.factors
+    ),
+    "time": lambda problem: _varies(problem, "time"),
+    "temperature": lambda problem: _varies(problem, "temperature"),
+    "load": lambda problem: any(f.conditions().load.any() for f in problem.factors),
+    "pitch": lambda problem: problem.machine.spec.screw_pitch is not None,
+}

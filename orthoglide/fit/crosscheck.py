@@ -119,17 +119,11 @@ def _second_order_bound(
     problem: Problem, nuisance: Nuisances, fit: Linearised, linear: Linearised
 ) -> float:
     """Return an upper bound of the weighted rms difference, metres, between the readings of the
-    nonlinear fit and of system (11).
+    nonlinear fit and of system (11), both at the solution.
 
     All vectors are whitened, with the nuisances projected out. With f(x) = J0 x + e and residual q
     of the nonlinear fit, the linear fit is P0 (f + q), P0 the projection on the linear system's
     columns: the difference is (1 - P0) e - P0 q, no longer than |e| + |P0 q|.
-
-    Args:
-        problem: the readings and priors.
-        nuisance: the nuisances at the solution, with their weights.
-        fit: at its solution.
-        linear: system (11) at the same values.
     """
     prior = np.diag(1 / problem.prior_sd)
     jacobian = np.vstack([nuisance.project(linear.jacobian), prior])[:, ~problem.on_bound(fit.x)]

@@ -53,13 +53,8 @@ class Factor(MeasurementModel):
         noise: RowNoise,
         instrument_priors: InstrumentPriors | None = None,
     ) -> Factor:
-        """Return readings with their instruments placed by a machine.
-
-        Args:
-            readings: of legs, or of the tool.
-            machine: its nominal poses place plates, balls and frames.
-            noise: of the readings.
-            instrument_priors: of placements; those of the machine file where absent.
+        """Return readings of legs, or of the tool, with instruments placed by a machine's nominal
+        poses; without ``instrument_priors`` those of the machine file hold.
         """
         priors = instrument_priors or machine_instrument_priors(machine)
         factor = cls(readings=readings, noise=noise, instrument_priors=priors)
@@ -181,11 +176,8 @@ class Factor(MeasurementModel):
         return replace(self, noise=self.noise.without_weight(visits))
 
     def with_instrument_poses(self, reading_poses: ReadingPoses, initial: bool = False) -> Factor:
-        """Return the factor with instruments placed by a machine; itself if their poses stay.
-
-        Args:
-            reading_poses: the machine's, in which the readings are taken.
-            initial: whether the present instrument poses are no estimates yet.
+        """Return the factor with instruments placed by the poses of a machine in which the readings
+        are taken; itself if their poses stay. ``initial``: the present ones are no estimates yet.
         """
         r, poses = self.readings, list(self.instrument_poses)
         for k, setup in enumerate(r.setups):

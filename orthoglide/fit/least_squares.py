@@ -120,10 +120,7 @@ class Nuisances:
 
     def of_means(self, index: NDArray[np.int64]) -> Nuisances:
         """Return the nuisances of the means of groups of readings, which have equal columns, noise
-        and station in each group.
-
-        Args:
-            index: group of each reading ``(n,)``.
+        and station in each group; ``index``: group of each reading ``(n,)``.
         """
         first, counts = np.unique(index, return_index=True, return_counts=True)[1:]
         readings = self.weighing.subset(first)
@@ -255,11 +252,7 @@ def orthonormal(columns: Array) -> Array:
 
 def covariance(jacobian: Array, prior: Array) -> tuple[Array, Array]:
     """Return the covariance ``(P, P)`` of the unknowns, of its determined part, and the directions
-    ``(u, P)`` that nothing determines, SI.
-
-    Args:
-        jacobian: whitened, projected ``(m, P)``.
-        prior: rows of the priors ``(q, P)``.
+    ``(u, P)`` that nothing determines, SI, by a whitened jacobian ``(m, P)`` and priors ``(q, P)``.
     """
     # Columns are scaled to unit length, so that units do not matter.
     scale = np.hypot(np.linalg.norm(jacobian, axis=0), np.linalg.norm(prior, axis=0))
@@ -290,13 +283,9 @@ _ROUNDING_SHARE = 1e-9  # of the largest effect at tolerance: less is rounding
 def weak_directions(
     problem: Problem, jacobian: Array, covariance: Array, *, scale: float = 1.0
 ) -> tuple[WeakDirection, ...]:
-    """Return the directions that the readings hardly determine, weakest first.
-
-    Args:
-        problem: gives the unknowns.
-        jacobian: whitened and projected ``(m, P)``, SI, without priors.
-        covariance: of the unknowns as reported ``(P, P)``, SI, scaled.
-        scale: of the reported sigmas.
+    """Return the directions that the readings hardly determine, weakest first, by the whitened and
+    projected jacobian ``(m, P)``, SI, without priors; ``covariance`` ``(P, P)`` and ``scale`` are
+    those of the reported sigmas.
     """
     names = problem.names
     norm = np.linalg.norm(jacobian, axis=0)

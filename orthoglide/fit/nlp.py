@@ -51,12 +51,8 @@ Postures = list[tuple[Conditions, NDArray[np.intp]]]
 def solve_programme(
     problem: Problem, nuisance: Nuisances, initial: NormalEquations
 ) -> tuple[Array, int]:
-    """Return IPOPT's answer ``(P,)``, SI, not checked yet, and its number of iterations.
-
-    Args:
-        problem: to be solved.
-        nuisance: columns frozen for the fit.
-        initial: equations at the initial values.
+    """Return IPOPT's answer ``(P,)``, SI, not checked yet, and its number of iterations from the
+    ``initial`` values.
 
     Raises:
         SolverError: where IPOPT reports a failure.
@@ -162,14 +158,9 @@ def _values(problem: Problem, factor: int, x: Any) -> dict[str, Any]:
 
 
 def _rows(model: Model, factor: Factor, outputs: Any, posture: Any, values: Any) -> Any:
-    """Return the predicted readings ``(n, 1)`` of a factor, as MX.
-
-    Args:
-        model: of the machine.
-        factor: the readings.
-        outputs: of all its postures, one behind the other ``(48 m, 1)``, as MX.
-        posture: first and second posture of every reading ``(2, n)``.
-        values: all parameters of machine and instruments, as MX.
+    """Return the predicted readings ``(n, 1)`` of a factor, as MX, from the outputs of all its
+    postures, one behind the other ``(48 m, 1)``, and the first and second posture of every reading
+    ``(2, n)``.
     """
     first, second = OUTPUT_SIZE * posture
     starts = factor.first_output + first, second

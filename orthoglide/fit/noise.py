@@ -183,11 +183,8 @@ def noise_of(
 
 
 def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
-    """Return the root mean square of the noise of lengths, or of angles where there are none.
-
-    Args:
-        given: tables of readings.
-        sigma: standard deviations of each ``(n,)``, metres or radians.
+    """Return the root mean square of the noise of lengths, or of angles where there are none, by
+    the standard deviations ``(n,)`` of each table's readings.
     """
     sigmas, angular = np.concatenate(sigma), np.concatenate([table.angular for table in given])
     used = sigmas[~angular] if (~angular).any() else sigmas

@@ -77,11 +77,8 @@ class NoiseScale:
 
 
 def noise_scales(estimate: Estimate, *, dials_together: bool = False) -> tuple[NoiseScale, ...]:
-    """Return the noise of every setup, in the order of the files; TCP points count as one.
-
-    Args:
-        estimate: the fit.
-        dials_together: whether all dials of a file count as one setup.
+    """Return the noise of every setup, in the order of the files; TCP points count as one setup,
+    and all dials of a file if they are taken together.
     """
     problem = estimate.problem
     square = problem.weighing.whiten(estimate.residuals) ** 2

@@ -17,15 +17,12 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact, with_sigma
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
-from orthoglide.observations.repetition import (
-    copied_files,
-    copied_point_lines,
-    count_copied_repeats,
-)
+from orthoglide.observations.tables import copied_files, repeat_steps
 
 _CHANCE = 1e-3  # probability of an outlier note on a campaign of sound readings
 _NEARLY_MAX = 0.999  # share of the largest noise that roughness may count as
 _MAX_LINES_NAMED = 8
+_MIN_EQUAL_REPEATS = 6  # equal repeats: fewer may be equal by chance
 _MIN_DOF = 1.0  # degrees of freedom below which the model is not tested
 _TURN_PLATE_ADVICE = (
     ", and all once more with the plate turned by 60 degrees (turned_deg): what turns with it is "
@@ -86,19 +83,31 @@ def copy_notes(problem: Problem) -> Iterator[Note]:
     for text in copied_files(tables):
         yield Note(text, "copies")
     for table in tables:
-        if table.by_point and (lines := copied_point_lines(table)):
+        lines, equal = (
+            _copied_point_lines(table) if table.by_point else (),
+            repeat_steps(table) == 0,
+        )
+        if lines:
             text = (
                 f"{_line_list(table, lines)}: the same point as before to the last "
                 f"digit: a copy adds no information, so leave it out"
             )
             yield Note(text, "copies", lines)
-        elif count := count_copied_repeats(table):
+        elif len(equal) >= _MIN_EQUAL_REPEATS and equal.all():
             text = (
-                f"all {count} repeats of {table.name} are the same to the last digit as the "
+                f"all {len(equal)} repeats of {table.name} are the same to the last digit as the "
                 f"visit before: if they are copies they say nothing of the noise, so leave them "
                 f"out and declare it"
             )
             yield Note(text, "copies")
+
+
+def _copied_point_lines(table: Readings) -> tuple[int, ...]:
+    """Return the lines whose command and coordinates equal those of an earlier line."""
+    points = table.points()
+    rows = np.nan_to_num(np.hstack([points.command, points.approach, points.p]))
+    first = np.unique(rows, axis=0, return_index=True)[1]
+    return tuple(np.delete(points.line, first).tolist())
 
 
 def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Iterator[Note]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
-from orthoglide.observations.repetition import repeat_steps
+from orthoglide.observations.tables import repeat_steps
 from orthoglide.ordering import descending, largest
 
 GRID_TOLERANCE = 0.06
@@ -27,11 +27,8 @@ MIN_REPEAT_DOF = 6  # degrees of freedom below which repeats say too little of t
 def readings_of_finest_step(
     campaigns: Sequence[Readings], step: Sequence[Array]
 ) -> tuple[Sequence[Readings], float]:
-    """Return the readings of dials with the finest step, which show scatter best, and that step.
-
-    Args:
-        campaigns: the readings.
-        step: of every reading's dial, by campaign, each ``(n,)``, metres.
+    """Return the readings of dials with the finest step, which show scatter best, and that step;
+    ``step``: of every reading's dial, by campaign, each ``(n,)``, metres.
     """
     finest = float(np.concatenate(step).min())
     if all((steps == finest).all() for steps in step):
@@ -41,13 +38,9 @@ def readings_of_finest_step(
 
 
 def dial_steps(campaign: Readings, resolution: float) -> Array:
-    """Return the step of every reading's dial ``(n,)``, metres: the resolution, or a coarser step
+    """Return the step of every reading's dial ``(n,)``, metres: its resolution, or a coarser step
     of which all differences from the datum are multiples, in the campaign or in one setup whose
     repeats show that it is not another unit.
-
-    Args:
-        campaign: the readings.
-        resolution: of the machine's dial, metres.
     """
     steps = np.empty(len(campaign))
     setups = [campaign.setup == k for k in range(len(campaign.setups))]
@@ -81,12 +74,8 @@ def _datum_differences(readings: Array) -> Array:
 
 
 def _coarser_step(differences: Array, step: float) -> float:
-    """Return the largest step of which all differences are multiples, unless by chance: ``k`` of
-    them are with probability ``(smaller / larger)^k``.
-
-    Args:
-        differences: of readings from their datum, distinct in a setup ``(k,)``, metres.
-        step: of the dial, metres.
+    """Return the largest step of which all differences ``(k,)``, metres, distinct in a setup, are
+    multiples, unless by chance: ``k`` of them are with probability ``(smaller / larger)^k``.
     """
     for larger in sorted((*_METRIC_STEPS, *_INCH_STEPS)):
         if larger <= step or (step / larger) ** len(differences) >= _CHANCE:

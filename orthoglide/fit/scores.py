@@ -132,11 +132,8 @@ def cross_validation_improvement(before: FittedRows, after: FittedRows) -> tuple
 
 
 def rms_by_unit(rows: Array, angular: NDArray[np.bool_]) -> ByUnit:
-    """Return the root mean squares of lengths and of angles.
-
-    Args:
-        rows: ``(n,)``, metres or radians; nan values do not count.
-        angular: which are radians ``(n,)``.
+    """Return the root mean squares of lengths, metres, and of angles, radians ``(n,)``; nan values
+    do not count.
     """
     finite = np.isfinite(rows)
     parts = (rows[finite & ~angular], rows[finite & angular])
@@ -214,14 +211,9 @@ def _left_out_residuals(
     """Return the residuals ``(n,)`` of readings predicted with every visit to their station left
     out; nan where nothing predicts them.
 
-    With leverage ``H`` of the linear problem (unknowns, nuisances, priors), the residual of a
-    block g left out is ``(1 - H_gg)^-1 r_g``.
-
-    Args:
-        problem: gives the stations.
-        nuisance: of the fit.
-        fitted: orthonormal columns of everything fitted, the rows of the readings ``(n, r)``.
-        whitened: residuals at the optimum ``(n,)``, in sigmas.
+    With leverage ``H`` of the linear problem, the residual of a block g left out is
+    ``(1 - H_gg)^-1 r_g``. ``fitted``: orthonormal columns of everything fitted ``(n, r)``;
+    ``whitened``: residuals at the optimum ``(n,)``, in sigmas.
     """
     station = problem.place_number
     left_out = np.full(len(whitened), np.nan)

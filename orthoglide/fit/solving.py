@@ -191,14 +191,8 @@ def _run_method(
     start: Linearised,
     method: Method,
 ) -> tuple[Linearised, int, str]:
-    """Return the linearisation at a method's solution, its iterations, and the method used.
-
-    Args:
-        problem: to be solved.
-        nuisance: frozen columns.
-        initial: equations at the initial values.
-        start: one Gauss-Newton step further.
-        method: as requested.
+    """Return the linearisation at a method's solution, its iterations, and the method used;
+    ``start`` is one Gauss-Newton step further than ``initial``.
     """
     if method in ("reduction", "pinocchio"):
         by_method = replace(problem, machine=problem.machine.by_pinocchio())

@@ -23,8 +23,12 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.pose_estimation import estimate_sphere_centre, plane_normal
-from orthoglide.instruments.unit_and_frame_checks import wrong_unit, wrong_unit_of_constant
+from orthoglide.instruments.pose_estimation import (
+    estimate_sphere_centre,
+    plane_normal,
+    wrong_unit,
+    wrong_unit_of_constant,
+)
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2

@@ -63,12 +63,8 @@ def _dial_mountings(mounted: Mounted) -> Array:
 
 
 def _plane_crossing(ends: Any, mounting: Any, place: Any) -> Vector:
-    """Return the point where the touched line crosses a plane across the leg ``(3,)``, metres.
-
-    Args:
-        ends: ends of the leg's bars (bar, end, xyz) ``(12,)``, metres.
-        mounting: of the dial, as :func:`_dial_mountings` returns it.
-        place: of the plane along the leg's axis, metres.
+    """Return the point where the touched line, by the ends of the leg's bars (bar, end, xyz)
+    ``(12,)``, crosses a plane across the leg at a place along its axis ``(3,)``, metres.
     """
     weight1, weight2, slide = mounting[0], mounting[1], vector(mounting, 2)
     start = linear_combination((weight1, vector(ends)), (weight2, vector(ends, 6)))

@@ -259,11 +259,8 @@ class Observation(ABC):
 
     @abstractmethod
     def formula(self, row: ReadingVariables, effects: Sequence[Effect]) -> Any:
-        """Return the expected reading.
-
-        Args:
-            row: symbols or numbers of the reading.
-            effects: effects of the instrument, in the order of their parameters.
+        """Return the expected reading; effects of the instrument are in the order of their
+        parameters.
         """
 
     @abstractmethod
@@ -271,14 +268,9 @@ class Observation(ABC):
         """Return the numbers of the mountings that the formula uses ``(m, M)``."""
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return prior standard deviations of the nuisance parameters, of mean zero ``(K,)``:
-        infinite where nothing is known, as of all by default, 0 where the setup does not have the
-        parameter.
-
-        Args:
-            setup: the mounting.
-            axis: base axes that the setup reads ``(m,)``.
-            priors: of the poses of instruments.
+        """Return prior standard deviations of the nuisance parameters, of mean zero ``(K,)``, of a
+        setup that reads base axes ``(m,)``: infinite where nothing is known, as of all by default,
+        0 where the setup does not have the parameter.
         """
         return np.full(self.nuisance_count, np.inf)
 
@@ -291,12 +283,8 @@ class Observation(ABC):
     def estimate_pose(
         self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors
     ) -> InstrumentPose:
-        """Return the pose of a setup's instrument, estimated from its readings.
-
-        Args:
-            readings: the readings, and the points where a machine takes them.
-            initial: initial estimate, if there is one.
-            priors: of the poses of instruments.
+        """Return the pose of a setup's instrument, estimated from its readings at the points where
+        a machine takes them, and from an initial estimate if there is one.
         """
         return initial or InstrumentPose()
 
@@ -326,20 +314,14 @@ class Observation(ABC):
     def placement_warnings(
         self, pose: InstrumentPose, p: Array, axis: Ints
     ) -> Iterator[tuple[str, str]]:
-        """Yield warnings about the estimated pose of an instrument: sentences, each with its kind.
-
-        Args:
-            pose: the estimate.
-            p: measured points ``(m, 3)``, metres.
-            axis: base axis of each reading ``(m,)``.
+        """Yield warnings about the estimated pose of an instrument, sentences with their kind, by
+        the measured points ``(m, 3)``, metres, and the base axis of each reading ``(m,)``.
         """
         yield from ()
 
     def sheet_points(self, ring: Array) -> tuple[Array, Array | None]:
-        """Return the points of a measuring sheet ``(k, 3)``, and the second ones of a paired kind.
-
-        Args:
-            ring: points on a circle of radius 1 about z ``(m, 3)``.
+        """Return the points of a measuring sheet ``(k, 3)``, and the second ones of a paired kind,
+        by points on a circle of radius 1 about z ``(m, 3)``.
         """
         return np.concatenate([ring, ring[:, [2, 0, 1]], ring[:, [1, 2, 0]]]), None
 

@@ -22,8 +22,7 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.pose_estimation import estimate_frame
-from orthoglide.instruments.unit_and_frame_checks import wrong_frame
+from orthoglide.instruments.pose_estimation import estimate_frame, wrong_frame
 from orthoglide.numerals import plain
 
 HELD_DIRECTION_SD = 0.02

@@ -1,4 +1,4 @@
-"""CasADi functions compiled by the C compiler of the computer, cached on disk."""
+"""CasADi functions for many rows at once, compiled by the computer's C compiler, cached on disk."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, cached_property
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import casadi as ca
+import numpy as np
+
+from orthoglide.geometry import Array
 
 # Without contraction to fused multiply-add compiled code rounds as the interpreter does. The
 # functions are straight lines of arithmetic: -O2 takes twice as long to compile and gains 5 %.
@@ -125,3 +129,148 @@ def _build_library(command: str, functions: list[Any], folder: Path, digest: str
         library = folder / f"closure-{digest}-{_digest(out.read_bytes())}.so"
         out.replace(library)  # atomic, also where two processes build at once
     return library
+
+
+_ROWS_PER_CALL = 256
+
+
+def blocks(row_count: int, size: int = _ROWS_PER_CALL) -> Iterator[slice]:
+    """Yield slices of rows, by default as many as one mapped call takes and the cache holds."""
+    for start in range(0, row_count, size):
+        yield slice(start, min(start + size, row_count))
+
+
+class InPlaceFunction:
+    """A CasADi function evaluated in place: write ``arguments``, evaluate, read ``results``.
+
+    Args:
+        function: its results are dense.
+
+    Attributes:
+        arguments: one array an argument, column by column.
+        results: one array a result, column by column.
+        evaluate: computes the results.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+        self.results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+        self._buffer, self.evaluate = function.buffer()
+        for k, array in enumerate(self.arguments):
+            self._buffer.set_arg(k, memoryview(array))  # type: ignore[arg-type]
+        for k, array in enumerate(self.results):
+            self._buffer.set_res(k, memoryview(array))  # type: ignore[arg-type]
+
+
+class RowFunction:
+    """A CasADi function of vectors, evaluated for rows of them; a lock guards its buffers.
+
+    Args:
+        function: of column vectors; its results are dense.
+        shared: number of leading arguments that are common to all rows.
+    """
+
+    def __init__(self, function: Any, shared: int = 0) -> None:
+        self.function, self._shared = function, shared
+        # CasADi stores matrices by columns.
+        outputs = range(function.n_out())
+        self._shapes = [(function.size2_out(k), function.size1_out(k)) for k in outputs]
+        self._buffers: dict[int, tuple[Any, Any]] = {}
+        self._lock = Lock()
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Return results ``(n, rows)``, or ``(n, rows, columns)`` where they are matrices.
+
+        Args:
+            arguments: ``(k,)`` the shared ones, ``(n, k)`` the others; the last sets n.
+        """
+        evaluate = self._evaluate_row if len(arguments[-1]) == 1 else self._evaluate_rows
+        with self._lock:
+            return evaluate(*arguments)
+
+    def _evaluate_rows(self, *arguments: Array) -> list[Array]:
+        n, shared = len(arguments[-1]), self._shared
+        values = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+        results = [np.empty((n, *shape)) for shape in self._shapes]
+        for part in blocks(n):
+            buffer, evaluate = self._buffer(part.stop - part.start)
+            for k, value in enumerate(values):
+                buffer.set_arg(k, memoryview(value if k < shared else value[part]))  # type: ignore[arg-type]
+            for k, result in enumerate(results):
+                buffer.set_res(k, memoryview(result[part]))  # type: ignore[arg-type]
+            evaluate()
+        return [r[:, 0] if r.shape[1] == 1 else np.swapaxes(r, 1, 2) for r in results]
+
+    def _evaluate_row(self, *arguments: Array) -> list[Array]:
+        """Return the results of one row, copying arguments to the buffers of the function."""
+        single = self.single
+        for array, value in zip(single.arguments, arguments, strict=True):
+            array[:] = value if value.ndim == 1 else value[0]
+        single.evaluate()
+        return [
+            r[None].copy() if columns == 1 else r.reshape(1, columns, rows).swapaxes(1, 2).copy()
+            for r, (columns, rows) in zip(single.results, self._shapes, strict=True)
+        ]
+
+    @cached_property
+    def single(self) -> InPlaceFunction:
+        """The function for one row, evaluated in place."""
+        return InPlaceFunction(self.function)
+
+    def _buffer(self, size: int) -> tuple[Any, Any]:
+        if size not in self._buffers:
+            name, same = f"{self.function.name()}_{size}", list(range(self._shared))
+            self._buffers[size] = self.function.map(name, "serial", size, same, []).buffer()
+        return self._buffers[size]
+
+
+class CompilableFunctions:
+    """Functions of rows, interpreted until compiling them is worthwhile.
+
+    Args:
+        names: of the functions.
+        key: identifies compiled libraries; see :func:`~orthoglide.mechanism.compiled.compiled`.
+        build: returns the CasADi functions.
+        shared: number of leading arguments of each function that are common to all rows.
+        worth: number of rows after which the functions are compiled; less than 0 for never.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        key: str,
+        build: Callable[[], list[Any]],
+        shared: int,
+        worth: int,
+    ) -> None:
+        self._names, self._key, self._build = tuple(names), key, build
+        self._shared, self._compile_after, self._rows_evaluated = shared, worth, 0
+        self._rows: dict[str, RowFunction] = {}
+        self.compiled = worth >= 0 and self._use_functions(compiled(self._names, key, None))
+
+    def _use_functions(self, functions: list[Any] | None) -> bool:
+        if functions is None:
+            return False
+        self._rows = {
+            name: RowFunction(function, self._shared)
+            for name, function in zip(self._names, functions, strict=True)
+        }
+        return True
+
+    def __call__(self, name: str, *arguments: Array) -> list[Array]:
+        """Return the results of function ``name`` for rows, as :class:`RowFunction` does."""
+        self._rows_evaluated += len(arguments[-1])
+        if not self.compiled and 0 <= self._compile_after <= self._rows_evaluated:
+            self.compile()
+        return self.rows(name)(*arguments)
+
+    def rows(self, name: str) -> RowFunction:
+        """Return a function in its current form, compiled or not."""
+        if not self._rows:
+            self._use_functions(self._build())
+        return self._rows[name]
+
+    def compile(self) -> None:
+        """Compile the functions now if there is a compiler."""
+        self.compiled = self._use_functions(compiled(self._names, self._key, self._build))
+        self._compile_after = -1  # tried once

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from orthoglide.errors import ClosureError, InputError
 from orthoglide.geometry import Array
 from orthoglide.mechanism import six_bars
+from orthoglide.mechanism.compiled import CompilableFunctions
 from orthoglide.mechanism.mechanism import CLOSED, Mechanism, Posture
 from orthoglide.mechanism.perfect_legs import SIDE_ROUNDING
-from orthoglide.mechanism.rows import CompilableFunctions
 from orthoglide.mechanism.six_bars import INPUT_SIZE, LINES, OUTPUT_SIZE, ROTATION, TCP
 
 # Bars are closed to rounding where their length is off by less than this fraction.
@@ -68,9 +68,6 @@ def batch_index(shape: tuple[int, ...], index: tuple[int, ...]) -> tuple[int, ..
 
 class PinocchioEngine:
     """Closes postures one by one with Pinocchio's constraint Jacobian: slow, and the definition.
-
-    Args:
-        mechanism: three legs with virtual joints.
 
     Attributes:
         largest_residual: largest closure residual so far by loop, metres or radians.

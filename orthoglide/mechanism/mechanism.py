@@ -1,4 +1,4 @@
-"""The closed mechanism in Pinocchio: a tree, constraint models and Newton's method."""
+"""The closed mechanism in Pinocchio: a tree, its closures as constraint models, Newton's method."""
 
 from __future__ import annotations
 
@@ -17,10 +17,109 @@ from scipy.linalg.lapack import dgesv
 from orthoglide.arguments import public
 from orthoglide.errors import ClosureError, InputError, as_float_array, check_choice
 from orthoglide.geometry import Array, Geometry, Mode
-from orthoglide.mechanism.constraints import Constraints, Mobility, mobility
 from orthoglide.mechanism.perfect_legs import Spheres, assembly_mode, free_joints, tool_position
 from orthoglide.mechanism.six_bars import nominal_spheres
 from orthoglide.mechanism.tree import VIRTUAL_NAMES, Tree, general_tree, load
+
+# Zero singular values of the 21 rows are zero up to rounding; the smallest other one is 0.01.
+_RANK_TOLERANCE = 1e-7
+
+
+class Constraints:
+    """Closure residual and constraint Jacobian of a tree, row by row in the order of its closures.
+
+    Three rows a point closure (second frame's origin seen from the first), six a frame closure
+    (``log6(c1Mc2)``). Holds Pinocchio's scratch data, ``models`` and ``datas`` of the constraints:
+    use one object a thread.
+    """
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        self.data = tree.model.createData()
+        self.models = pin.StdVec_ConstraintModel()
+        self.datas = pin.StdVec_ConstraintData()
+        for loop in tree.loops:
+            point = loop.kind == "point"
+            anchor = pin.PointAnchorConstraintModel if point else pin.FrameAnchorConstraintModel
+            self.models.append(pin.ConstraintModel(anchor(tree.model, *tree.loop_ends(loop))))
+        for model in self.models:
+            self.datas.append(model.createData())
+        # The containers hold copies, so calculations must use their elements.
+        self._pairs = [
+            (self.models[k], self.datas[k], self.datas[k].extract()) for k in range(len(tree.loops))
+        ]
+
+    def residual(self, q: Array) -> Array:
+        """Return the closure residual at ``q`` ``(nq,)``, metres and radians."""
+        pin.computeJointJacobians(self.tree.model, self.data, q)
+        # Without calc first, Pinocchio's constraint Jacobian is silently wrong.
+        for model, data, _ in self._pairs:
+            model.calc(self.tree.model, self.data, data)
+        return np.concatenate([view.constraint_position_error for _, _, view in self._pairs])
+
+    def newton_matrix(self) -> Array:
+        """Return the constraint Jacobian ``(rows, nv)`` where the residual was last evaluated.
+
+        It is exact where the loops are closed. Elsewhere the rows of frame closures are relative
+        twists, without the factors ``Jlog6(M) M.actInv``: Newton's method converges all the same.
+        """
+        return np.asarray(
+            pin.getConstraintsJacobian(self.tree.model, self.data, self.models, self.datas)
+        )
+
+    def jacobian(self, q: Array) -> Array:
+        """Return the derivative ``(rows, nv)`` of the residual by the joints, closed or not."""
+        self.residual(q)
+        rows = self.newton_matrix()
+        for loop, (_, _, view) in zip(self.tree.loops, self._pairs, strict=True):
+            if loop.kind == "frame":
+                loop_rows, placement = self.tree.rows[loop.name], view.c1Mc2
+                rows[loop_rows] = (
+                    pin.Jlog6(placement) @ placement.inverse().action @ rows[loop_rows]
+                )
+        return rows
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """How a machine with loops is constrained at one posture."""
+
+    joints: int  # joints of the tree, drives included
+    rows: int  # closure rows
+    rank: int  # independent ones among them
+    mobility: int  # degrees of freedom, `joints - rank`
+    # conditions that the others imply, `rows - rank`: the machine is overconstrained, and errors
+    # of the parts strain it
+    redundant: int
+    by_loop: dict[str, int]  # rank of each loop's rows alone
+
+    def __str__(self) -> str:
+        ranks = [rank for name, rank in self.by_loop.items() if "parallelogram" in name]
+        planar = 3 * len(ranks) - sum(ranks)
+        summary = (
+            f"{self.joints} joints, {self.rows} closure rows of rank {self.rank}: mobility "
+            f"{self.mobility}, {self.redundant} redundant rows."
+        )
+        if not ranks:
+            return summary
+        return (
+            f"{summary} {planar} of them are in the parallelograms, whose planes already follow "
+            f"from the other rows. The other {self.redundant - planar} repeat constraints on the "
+            f"platform's rotation, because every leg resists torsion."
+        )
+
+
+def mobility(constraints: Constraints, q: Array) -> Mobility:
+    """Return the mobility of the nominal tree at a closed posture ``q``."""
+
+    def rank_of(rows: Array) -> int:
+        return int(np.linalg.matrix_rank(rows, rtol=_RANK_TOLERANCE))
+
+    rows = constraints.jacobian(q)
+    by_loop = {name: rank_of(rows[part]) for name, part in constraints.tree.rows.items()}
+    (count, joints), rank = rows.shape, rank_of(rows)
+    return Mobility(joints, count, rank, joints - rank, count - rank, by_loop)
+
 
 CLOSED = 1e-11
 """Largest closure residual, metres and radians, that counts as closed."""
@@ -247,11 +346,7 @@ class Mechanism:
 
     def velocity_jacobian(self, posture: Posture) -> Array:
         """Return dp/drho ``(3, m)`` at a posture (2008, eq. 5), from the constraint Jacobian."""
-        return self.sensitivities(posture, self.tree.drive)[:3]
-
-    def sensitivities(self, posture: Posture, by: NDArray[np.intp]) -> Array:
-        """Return the tool's velocity ``(6, k)``; arguments as for :meth:`frame_velocities`."""
-        return self.frame_velocities(posture, by, [self.tool])[0]
+        return np.asarray(self.frame_velocities(posture, self.tree.drive, [self.tool])[0, :3])
 
     def frame_velocities(
         self, posture: Posture, by: NDArray[np.intp], frames: Sequence[int]

@@ -125,12 +125,8 @@ def _passive_angles(tree: Tree, length: float, leg: int, span: Array) -> Array:
 
 
 def tool_position(spheres: Spheres, travel: Array, mode: Mode = "machine") -> Array:
-    """Return the TCP ``(N, 3)`` of legs without errors, where the three spheres meet, metres.
-
-    Args:
-        spheres: of the machine.
-        travel: of the carriages from mechanical zero, ``(N, 3)``, metres.
-        mode: which of the two points, mirror images in the plane of the carriages.
+    """Return the TCP ``(N, 3)`` of legs without errors, where the three spheres meet, metres: one
+    of two points, mirror images in the plane of the carriages at ``travel`` ``(N, 3)``.
 
     Returns:
         NaN where the legs do not meet, or the carriages stand in one line.

@@ -126,11 +126,8 @@ def _leg_constants(tree: Tree, leg: str) -> Array:
 
 
 def nominal_spheres(tree: Tree, zero: Array) -> Spheres:
-    """Return the spheres on which the TCP lies while the platform is not turned, without errors.
-
-    Args:
-        tree: of three legs.
-        zero: command at mechanical zero ``(3,)``, metres.
+    """Return the spheres on which the TCP lies while the platform is not turned, without errors;
+    ``zero``: command at mechanical zero ``(3,)``, metres.
     """
     legs = constants(tree)[:-1].reshape(3, _SIZE)
     axes = legs[:, _AXES:_SLIDE].reshape(3, 3, 3)

@@ -210,9 +210,6 @@ def load(source: Geometry | str | os.PathLike[str] | None = None) -> Tree:
 def general_tree(nominal: Tree) -> Tree:
     """Return the tree of three PRPaR legs with relief and virtual joints inserted: 54 joints.
 
-    Args:
-        nominal: the tree without them.
-
     Raises:
         InputError: where the URDF lacks joints of three PRPaR legs.
     """
@@ -229,11 +226,8 @@ def general_tree(nominal: Tree) -> Tree:
 
 
 def visual_model(tree: Tree, nominal: Tree) -> Any:
-    """Return the solids of a tree's URDF as ``pin.GeometryModel``, attached to its joints.
-
-    Args:
-        tree: the general tree, or one reduced from it.
-        nominal: the tree as it is in the URDF.
+    """Return the solids of a tree's URDF as ``pin.GeometryModel``, attached to the joints of the
+    general tree, or of one reduced from it.
     """
     visual = pin.buildGeomFromUrdfString(nominal.model, nominal.urdf, pin.GeometryType.VISUAL)
     for item in visual.geometryObjects:
@@ -247,12 +241,8 @@ def visual_model(tree: Tree, nominal: Tree) -> Any:
 def _copied(
     source: pin.Model, spherical: Collection[str] = (), extra_joints: bool = False
 ) -> pin.Model:
-    """Return a copy of a model with some of its joints spherical, and with additional joints.
-
-    Args:
-        source: the model.
-        spherical: names of the joints to make spherical.
-        extra_joints: whether the joints of the tables above are inserted.
+    """Return a copy of a model with some of its joints spherical, and with the additional joints of
+    the tables above.
     """
     model = pin.Model()
     model.name = source.name

@@ -50,12 +50,8 @@ class Moves:
 
 
 def stroke_overshoot(stroke: tuple[float, float]) -> float:
-    """Return the distance by which a machine passes a command to reach it from a side, metres.
-
-    It is smaller on a short stroke, which has no room for more.
-
-    Args:
-        stroke: travel limits of the machine, metres.
+    """Return the distance by which a machine passes a command to reach it from a side, metres; it
+    is smaller on a short stroke, which has no room for more.
     """
     low, high = stroke
     return min(_OVERSHOOT, min(-low, high) / _STROKE_DIVISOR)

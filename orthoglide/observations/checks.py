@@ -6,7 +6,7 @@ raises. Remarks that are no errors are returned as warnings.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -19,10 +19,63 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, plain
 from orthoglide.observations.approach import MIN_MOVE, Ints
-from orthoglide.observations.notices import ZERO_READING, notices
 from orthoglide.observations.readings import Readings
-from orthoglide.observations.schema import MAX_ROTATION_SD, MOVE, READINGS
+from orthoglide.observations.schema import (
+    MAX_ROTATION_SD,
+    MOVE,
+    READINGS,
+    SIGMAS,
+    TEMPERATURE,
+    TIME,
+)
 from orthoglide.units import NOISE_LIMITS
+
+# Rounding and touching make a still dial vary by up to two steps.
+_STILL_DIAL_STEPS = 2 - 1e-6
+_ZERO_READING = 1e-8  # metres: smaller readings are zeros of a simulated perfect machine
+
+
+def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+    read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
+    if not read.any():
+        return
+    spans = [
+        np.ptp(campaign.reading[read & (campaign.setup == index)])
+        for index in np.unique(campaign.setup[read])
+    ]
+    if max(spans) < max(_STILL_DIAL_STEPS * machine.dial.resolution, _ZERO_READING):
+        yield Note(
+            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
+            "touching the leg? Unless the machine is as good as that, such readings say nothing",
+            "reading",
+        )
+
+
+def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
+    consequences = {
+        TIME: "these count as taken at the start",
+        TEMPERATURE: "these count as no warmer than the first",
+        SIGMAS["mm"]: "these take the dial's",
+    }
+    for column, consequence in consequences.items():
+        absent = np.isnan(getattr(campaign, column.attribute))
+        if absent.any() and not absent.all():
+            text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
+            yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
+
+
+def _note_late_clock(campaign: Readings) -> Iterator[Note]:
+    """Note a clock that starts later than the session is long: bars that warm from its zero would
+    have grown before the first reading.
+    """
+    time = campaign.time[np.isfinite(campaign.time)]
+    if len(time) and time.min() > np.ptp(time):
+        yield Note(
+            f"{TIME.name} starts at {time.min():.6g} s: give seconds since the start of the "
+            f"session, not a time of day, as effects that grow with time count from 0",
+            TIME.name,
+        )
+
 
 Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
@@ -43,13 +96,8 @@ DIAL_RANGE = 20e-3
 
 
 def check_commands(values: Array, are_travel: bool, machine: MachineFile, fail: Fail) -> Array:
-    """Return the joint coordinates of commands ``(n, 3)``, metres; refuse those off the stroke.
-
-    Args:
-        values: commands as in the file ``(n, 3)``, metres.
-        are_travel: whether they are the controller's values, not joint coordinates.
-        machine: the machine, with stroke and controller.
-        fail: raises the error.
+    """Return the joint coordinates of commands ``(n, 3)``, metres, that are such coordinates or the
+    controller's values; refuse those off the stroke.
     """
     geometry, controller = machine.geometry, machine.controller
 
@@ -128,13 +176,7 @@ def check_filled(readings: Readings, fail: Fail) -> None:
 
 
 def check_points(command: Array, p: Array, fail: Fail) -> None:
-    """Refuse implausible positions of the tool ``(m, 3)``.
-
-    Args:
-        command: joint coordinates ``(m, 3)``, metres.
-        p: measured, nan where a coordinate is missing, metres.
-        fail: raises the error.
-    """
+    """Refuse implausible positions ``p`` of the tool ``(m, 3)``, metres, nan where not measured."""
     missing = np.isnan(p).all(axis=1)
     if missing.any():
         fail("all of p_x_mm, p_y_mm, p_z_mm are empty: remove the row", int(np.argmax(missing)))
@@ -173,7 +215,8 @@ def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tupl
 
         for check in _CHECKS:
             check(campaign, machine, fail_leg)
-        warnings = list(notices(campaign, machine))
+        warnings += [*_note_still_dial(campaign, machine), *_note_partly_recorded(campaign)]
+        warnings += _note_late_clock(campaign)
     for rule in (_check_noise, _check_distances, _check_bars, _check_duplicates):
         rule(readings, fail)
     return tuple(warnings)
@@ -218,15 +261,10 @@ def _check_bars(readings: Readings, fail: Fail) -> None:
         fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
 
 
-def min_axis_motion(machine: MachineFile) -> float:
-    """Return the least range of commands over which an axis counts as moving, metres."""
-    low, high = machine.geometry.stroke
-    return min(MIN_AXIS_MOTION, (high - low) / 10)
-
-
 def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     # `_check_postures` reports a single posture
-    limit = min_axis_motion(machine)
+    low, high = machine.geometry.stroke
+    limit = min(MIN_AXIS_MOTION, (high - low) / 10)
     if MIN_MOVE < np.ptp(campaign.command, axis=0).max() <= limit:
         fail(
             f"no axis moves by more than {limit * 1e3:g} mm: give the commands in millimetres, "
@@ -294,11 +332,11 @@ def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     rows = rows[np.isfinite(campaign.time[rows])]
     decreases = np.flatnonzero(np.diff(campaign.time[rows]) < 0)
     if len(decreases):
-        before, row = rows[decreases[0]], rows[decreases[0] + 1]
+        before, row = rows[decreases[0] : decreases[0] + 2].tolist()
         fail(
             f"time_s runs back from line {campaign.line[before]} to here: count on from the start "
             "of the campaign, and number the rows in column order if they are sorted otherwise",
-            int(row),
+            row,
         )
 
 
@@ -312,7 +350,7 @@ def max_dial_span(campaign: Readings, index: int) -> float:
 
 def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     size = np.nanmax(np.abs(campaign.reading), initial=0.0)
-    if ZERO_READING < size < machine.dial.resolution:
+    if _ZERO_READING < size < machine.dial.resolution:
         fail(
             f"all readings are below one step of the dial ({machine.dial.resolution * 1e3:g} mm): "
             "give millimetres, not metres, or correct resolution in the machine file",

@@ -108,16 +108,8 @@ def leg_dial_campaign(
     bar: int = 0,
 ) -> Readings:
     """Return a campaign without readings, of two dials at a time on each leg in turn, while the
-    nominal TCP moves along that leg's axis.
-
-    Args:
-        geometry: whose stroke and length are used.
-        name: of the campaign.
-        gauges: places of the dials by mounting, as fractions of the leg: one, or two whose
-            difference is read.
-        postures: in their order.
-        repeats: number of passes through the postures.
-        bar: that is touched, as in `Setup`.
+    nominal TCP moves along that leg's axis. ``gauges``: places of the dials by mounting, as
+    fractions of the leg: one, or two whose difference is read.
 
     Raises:
         InputError: where a leg moves past a dial.

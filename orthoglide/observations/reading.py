@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.arguments import public
-from orthoglide.errors import FileError
+from orthoglide.errors import FileError, InputError
 from orthoglide.foreign import refuse_foreign
+from orthoglide.instruments import OBSERVATIONS, Observation, Setup
 from orthoglide.machine_file import AnyMachine, MachineFile, machine_file_of
 from orthoglide.notes import Note
-from orthoglide.observations.approach import Moves, derive_approach, stroke_overshoot
+from orthoglide.observations.approach import Ints, Moves, derive_approach, stroke_overshoot
 from orthoglide.observations.checks import (
     check_filled,
     check_firmware,
@@ -25,13 +26,6 @@ from orthoglide.observations.checks import (
     check_points,
     check_readings,
     check_sequence,
-)
-from orthoglide.observations.columns import (
-    column_values,
-    commands,
-    read_setups,
-    rows_of_kinds,
-    stated_commands,
 )
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import (
@@ -53,11 +47,91 @@ from orthoglide.observations.schema import (
     SIGMAS,
     TRAVEL,
     Column,
+    at_tool,
     column_names,
     columns_for_command,
 )
-from orthoglide.observations.table import Table, frame_table, read_table, rows_table
+from orthoglide.observations.table import (
+    Table,
+    commands,
+    frame_table,
+    read_table,
+    rows_table,
+    stated_commands,
+)
 from orthoglide.observations.tables import from_points, split_legs_and_tool
+
+_UNIQUE_NAME_REMEDY = (
+    "give each mounting of a dial a name of its own",
+    "give each instrument, each probe or tip, and each state of a plate its own setup",
+)
+"""Remedies for two setups of one name, of dials and of the tool."""
+
+
+def rows_of_kinds(kinds: Sequence[str], test: Callable[[Observation], Any]) -> NDArray[np.bool_]:
+    """Return the rows of kinds that pass a test ``(n,)``, booleans; moves never pass."""
+    kinds_passing = {kind for kind, observation in OBSERVATIONS.items() if test(observation)}
+    return np.array([kind in kinds_passing for kind in kinds], dtype=bool)
+
+
+def column_values(
+    table: Table, column: Column, rows_with_column: NDArray[np.bool_], name: str = ""
+) -> list[Any]:
+    """Return a column's values in the rows that have it, and None elsewhere."""
+    if rows_with_column.all():
+        return table.values(column, name)
+    values: list[Any] = [None] * len(rows_with_column)
+    rows = np.flatnonzero(rows_with_column).tolist()
+    for row, value in zip(rows, table.part(rows).values(column, name), strict=True):
+        values[row] = value
+    return values
+
+
+def read_setups(table: Table, kinds: Sequence[str]) -> tuple[tuple[Setup, ...], Ints]:
+    """Return the mountings in order of appearance, and the index of each row's mounting.
+
+    Raises:
+        FileError: for an impossible mounting, and two mountings of one name.
+    """
+    cells = {
+        name: column_values(table, column, has_column, name)
+        for column in COLUMNS
+        if (has_column := rows_of_kinds(kinds, column.is_fixed_in_setup)).any()
+        for name in column.names()
+    }
+    name_column, setups, numbers = list(cells).index(SETUP.name), list[Setup](), list[int]()
+    first_by_name: dict[str, tuple[int, int, tuple[Any, ...]]] = {}  # number, row and cells
+    for row, key in enumerate(zip(*cells.values(), strict=True)):
+        given = (len(setups), row, key)
+        number, first_row, first_key = first_by_name.setdefault(key[name_column], given)
+        if row == first_row:
+            setups.append(_make_setup(table, row, dict(zip(cells, key, strict=True))))
+        elif key != first_key:
+            differing = next(n for n, a, b in zip(cells, key, first_key, strict=True) if a != b)
+            remedy = _UNIQUE_NAME_REMEDY[int(rows_of_kinds(kinds, at_tool).any())]
+            table.fail(
+                f"setup {key[name_column]!r} has another {differing} here than on line "
+                f"{table.lines[first_row]}: {remedy}",
+                row,
+            )
+        numbers.append(number)
+    return tuple(setups), np.array(numbers)
+
+
+def _make_setup(table: Table, row: int, cells: Mapping[str, Any]) -> Setup:
+    """Return a mounting from its cells by column."""
+    values: dict[str, Any] = {}
+    for column in COLUMNS:
+        given = tuple(cells[name] for name in column.names() if cells.get(name) is not None)
+        if column is DIRECTION and given:
+            values["axis"], values["sign"] = AXIS_AND_SIGN[given[0]]
+        elif given:
+            values[column.attribute] = given if column.is_triple else given[0]
+    try:
+        return Setup(**values)
+    except InputError as error:
+        table.fail(str(error).removeprefix(f"setup {values['name']!r}: "), row)
+
 
 _HEAD_BYTES = 2**16  # bytes of a file that identify the program that wrote it
 
@@ -105,16 +179,10 @@ def read_readings(
 ) -> tuple[Readings, ...]:
     """Read a file of readings of any kinds into separate tables of legs and of the tool.
 
-    Args:
-        path: as for `read_campaign`.
-        machine_file: as for `read_campaign`.
-        require_readings: as for `read_campaign`.
+    Arguments and errors are those of `read_campaign`.
 
     Returns:
         A table of readings of legs, with the moves, a table of those of the tool, or both.
-
-    Raises:
-        FileError: naming the line and what would be right.
     """
     return split_legs_and_tool(read_campaign(path, machine_file, require_readings))
 
@@ -123,15 +191,10 @@ def read_readings(
 def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:
     """Read a file with a row for each measured position of the tool.
 
-    Args:
-        path: as for `read_campaign`.
-        machine_file: as for `read_campaign`.
+    Arguments and errors are those of `read_campaign`.
 
     Returns:
         Readings of kind ``tcp``, one for each coordinate that is not empty.
-
-    Raises:
-        FileError: naming the line and what would be right.
     """
     table = read_table(path)
     return _points_of_table(table, Path(table.file).stem, machine_file_of(machine_file))
@@ -146,16 +209,8 @@ def readings_from_rows(
     file: str = "",
     sha256: str = "",
 ) -> Readings:
-    """Return readings from rows of text, as a result keeps those of its files; rows with points of
-    the tool as from `read_tcp`.
-
-    Args:
-        rows: from column to text; the first row names all columns.
-        machine_file: as for `read_campaign`.
-        name: of the readings.
-        lines: line of each row in the file; from 2 on where empty.
-        file: the file's name.
-        sha256: digest of the file.
+    """Return readings from rows of text, as a result keeps those of its files: from column to cell,
+    the first row naming all columns, with the lines and the digest of their file.
 
     Raises:
         FileError: as `read_campaign`.
@@ -193,11 +248,7 @@ Readings.from_frame = staticmethod(readings_from_frame)
 def readings_of_table(
     table: Table, name: str, machine_file: AnyMachine | None, require_readings: bool = True
 ) -> Readings:
-    """Return the readings of a table, with the moves.
-
-    Raises:
-        FileError: naming the line and what would be right.
-    """
+    """Return the readings of a table, with the moves; raises as `read_campaign`."""
     machine = machine_file_of(machine_file)
     if set(POINT.names()) & set(table.names) and not (
         {SETUP.name, READINGS["mm"].name} & set(table.names)

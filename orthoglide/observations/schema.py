@@ -73,12 +73,8 @@ def integer_kind(low: int) -> Kind:
 
 
 def word_kind(meanings: Mapping[str, Any], remedy: str = "", empty_meaning: Any = None) -> Kind:
-    """Return the kind of a word with a meaning, which is written as the first word that has it.
-
-    Args:
-        meanings: from word to meaning.
-        remedy: end of the message for any other word.
-        empty_meaning: the meaning of an empty cell.
+    """Return the kind of a word with a meaning, which is written as the first word that has it;
+    ``remedy``: end of the message for any other word.
     """
     word_of: dict[Any, str] = {}
     for word, meaning in meanings.items():

@@ -1,4 +1,4 @@
-"""A CSV file or data frame as cells of text, with the line of each row."""
+"""A CSV file or data frame as cells of text, with the line of each row, and its commands."""
 
 from __future__ import annotations
 
@@ -17,9 +17,23 @@ from numpy.typing import NDArray
 from orthoglide import files
 from orthoglide.errors import FileError
 from orthoglide.geometry import LEGS, Array
+from orthoglide.layout import LegNames
+from orthoglide.machine_file import MachineFile
 from orthoglide.notes import Note
 from orthoglide.numerals import MINUS
-from orthoglide.observations.schema import COLUMNS, NUMBER, POINT, Column, column_names
+from orthoglide.observations.checks import check_commands
+from orthoglide.observations.schema import (
+    COLUMNS,
+    COMMANDS,
+    NAN,
+    NUMBER,
+    PLACE,
+    POINT,
+    RHO,
+    TRAVEL,
+    Column,
+    column_names,
+)
 from orthoglide.text import abbreviated, cell_text, printable_path, unprintable
 
 _DELIMITERS = ",;\t"
@@ -176,13 +190,8 @@ def frame_table(df: Any, name: str) -> Table:
 def rows_table(
     rows: Sequence[Mapping[str, str]], file: str, lines: Sequence[int] = (), sha256: str = ""
 ) -> Table:
-    """Return the cells of rows by column, as results keep them.
-
-    Args:
-        rows: from column to text, the first row naming all columns.
-        file: name for errors.
-        lines: line of each row; from 2 on where empty.
-        sha256: digest of the file they came from.
+    """Return the cells of rows by column, as results keep them, the first row naming all columns;
+    lines count from 2 on where none are given.
     """
     names = list(rows[0]) if rows else []
     cells = [[str(row.get(name, "")).strip() for name in names] for row in rows]
@@ -268,3 +277,68 @@ def _decimal_point(cell: str) -> str:
 def _frame_cell(value: Any) -> str:
     text = str(value).strip()
     return "" if text in _MISSING else text
+
+
+# Commands --------------------------------------------------------------------------------------
+
+_AGREEMENT = 1e-8  # metres: commands that are stated in two ways, both rounded to a nanometre
+_PLACE_WITHOUT_HEIGHT = replace(PLACE, empty_value=NAN)  # the height is empty before a touch
+
+
+def native_command_column(names: LegNames) -> Column:
+    """Return the columns of a layout's commands: joint coordinates, or travel."""
+    return RHO if RHO.name.startswith(names.command) else TRAVEL
+
+
+def native_command_names(names: LegNames) -> tuple[str, ...]:
+    """Return the names of the three columns of a layout's commands."""
+    return native_command_column(names).names(names.legs)
+
+
+def stated_commands(table: Table, machine: MachineFile) -> Column:
+    """Return the columns in which a table states its commands.
+
+    Raises:
+        FileError: if two ways of stating them disagree, or the columns are of another layout.
+    """
+    legs, is_delta = machine.geometry.leg_names, not machine.geometry.dialled
+    native, other = (TRAVEL, PLACE) if is_delta else (RHO, TRAVEL)
+    if not is_delta and "travel_a_mm" in table.names:
+        table.fail(
+            "has the columns of a linear delta: give its machine file, with [layout], by --machine"
+        )
+    names = [set(column.names(legs)) for column in (native, other)]
+    if not names[1] & set(table.names) or (is_delta and machine.kinematics is None):
+        return native
+    if not names[0] & set(table.names):
+        return other
+    fault = "one of these kinds is not complete"
+    if (names[0] | names[1]) <= set(table.names):  # `compensate` writes both
+        difference = commands(table, native, machine) - commands(table, other, machine)
+        if np.abs(difference).max(initial=0.0) <= _AGREEMENT:
+            return native
+        fault = "they disagree"
+    both = f"{native.names(legs)[0]} and {other.names(legs)[0]}"
+    table.fail(f"has {both}, and {fault}: keep the columns of one kind")
+
+
+def commands(table: Table, column: Column, machine: MachineFile) -> Array:
+    """Return the joint coordinates ``(n, 3)``, metres, of a table's commands, or of second ones.
+
+    Raises:
+        FileError: for a command that is invalid, or that the machine cannot reach.
+    """
+    kinematics = machine.kinematics
+    if kinematics is None or column not in (PLACE, COMMANDS[PLACE]):
+        given = table.array(column, machine.geometry.leg_names)
+        is_travel = column in (TRAVEL, COMMANDS[TRAVEL])
+        return check_commands(given, is_travel, machine, table.fail)
+    columns = (column, column, _PLACE_WITHOUT_HEIGHT if column is PLACE else column)
+    cells = [table.values(c, n) for c, n in zip(columns, column.names(), strict=True)]
+    travel = kinematics.travel(np.nan_to_num(np.array(cells, dtype=float).T))
+    unreachable = np.flatnonzero(np.isnan(travel).any(axis=1))
+    if len(unreachable):
+        names = ", ".join(column.names())
+        table.fail(f"{names} is a place that no arm reaches: correct it", int(unreachable[0]))
+    shown = machine.controller.from_rho(travel, machine.geometry)
+    return check_commands(shown, True, machine, table.fail)

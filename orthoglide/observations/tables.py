@@ -1,16 +1,17 @@
-"""Tables of readings from points of the tool, from several tables, and from parts of a table."""
+"""Tables of readings from points or several tables; readings and files that occur twice."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.arguments import public
 from orthoglide.errors import InputError
+from orthoglide.geometry import Array
 from orthoglide.instruments import Coordinate, Setup
 from orthoglide.observations.approach import Moves
 from orthoglide.observations.arrays import READING_ARRAYS
@@ -139,3 +140,50 @@ def split_legs_and_tool(readings: Readings) -> tuple[Readings, ...]:
         return (readings,)
     legs, tool = readings.subset(on_legs), readings.subset(~on_legs)
     return legs, replace(tool, name=f"{readings.name}-tool", moves=Moves(), warnings=())
+
+
+def repeat_rows(campaign: Readings) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the rows of all repeat readings, by station, and those of the visits before them,
+    both ``(k,)``.
+    """
+    table = campaign.stations
+    order = np.lexsort([campaign.order, *table.T[::-1]])
+    is_repeat = np.all(np.diff(table[order], axis=0) == 0, axis=1)
+    return order[1:][is_repeat], order[:-1][is_repeat]
+
+
+def repeat_steps(campaign: Readings) -> Array:
+    """Return each repeat reading minus the reading of the visit before ``(k,)``, metres."""
+    later, before = repeat_rows(campaign)
+    return np.asarray(campaign.reading[later] - campaign.reading[before])
+
+
+def shared_fraction(table: Readings, other: Readings) -> float:
+    """Return the fraction of a table's readings, 0 to 1, that another table contains with the same
+    value, instrument and command.
+    """
+
+    def keys(readings: Readings) -> set[tuple[object, ...]]:
+        setups = (readings.setups[k] for k in readings.setup)
+        instruments = [(s.kind, s.leg, s.gauge, s.gauge2, s.bar) for s in setups]
+        numbers = np.column_stack(
+            [readings.axis, readings.sign, readings.command, np.nan_to_num(readings.second),
+             readings.repeat, readings.reading]
+        )  # fmt: skip
+        pairs = zip(instruments, numbers.tolist(), strict=True)
+        return {(*instrument, *values) for instrument, values in pairs}
+
+    keys_of_table = keys(table)
+    return len(keys_of_table & keys(other)) / max(len(keys_of_table), 1)
+
+
+def copied_files(tables: Sequence[Readings]) -> Iterator[str]:
+    """Yield a sentence for each file whose readings all equal those of an earlier file."""
+    for k, table in enumerate(tables):
+        for other in tables[:k]:
+            if len(table) == len(other) and shared_fraction(table, other) == 1.0:
+                yield (
+                    f"the readings of {table.name} are those of {other.name} to the last digit: a "
+                    f"copy adds no information, so leave one of them out"
+                )
+                break

@@ -19,7 +19,6 @@ from orthoglide.instruments import LegDial
 from orthoglide.layout import LegNames
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.observations.checks import DECIMALS
-from orthoglide.observations.columns import native_command_column
 from orthoglide.observations.readings import Readings
 from orthoglide.observations.schema import (
     APPROACH,
@@ -41,6 +40,7 @@ from orthoglide.observations.schema import (
     column_names,
     columns_for_command,
 )
+from orthoglide.observations.table import native_command_column
 from orthoglide.observations.tables import concatenated
 
 if TYPE_CHECKING:
@@ -62,12 +62,8 @@ def campaign_text(
     *,
     commands_as_places: bool = False,
 ) -> str:
-    """Return the CSV text of readings; several tables follow each other in one file.
-
-    Args:
-        campaign: readings or a measuring sheet, of dials or of the tool, or several.
-        machine_file: as for `campaign_rows`.
-        commands_as_places: as for `campaign_rows`.
+    """Return the CSV text of readings, with the columns of `campaign_rows`; several tables follow
+    each other in one file.
 
     Raises:
         InputError: if several tables cannot be one file, as `concatenated` says.
@@ -180,14 +176,8 @@ def _cells_of_column(
     has_column: NDArray[np.bool_] | None = None,
     always_written: bool = False,
 ) -> Columns:
-    """Return the cells of a column, or of each of three, unless all have the default value.
-
-    Args:
-        column: of the schema.
-        values: ``(n,)``, or ``(n, 3)`` of three columns.
-        legs: names of the machine's legs.
-        has_column: which rows have the column ``(n,)``; all if None. Other cells are empty.
-        always_written: whether default values are written.
+    """Return the cells of a column, or of each of three, unless all values ``(n,)`` or ``(n, 3)``
+    are the default and need not be written; cells are empty in rows that do not have the column.
     """
     columns = Columns()
     components = np.asarray(values).T if column.is_triple else [values]

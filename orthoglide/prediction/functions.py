@@ -13,7 +13,7 @@ from orthoglide.effects import Catalogue, Effect, LegConditions
 from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import POSE_SIZE, Observation, ReadingVariables
-from orthoglide.mechanism.rows import CompilableFunctions, RowFunction
+from orthoglide.mechanism.compiled import CompilableFunctions, RowFunction
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 
 CONDITION_COUNT = 11

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.instruments import POSE_SIZE, InstrumentPose, Mounted
-from orthoglide.mechanism.rows import blocks
+from orthoglide.mechanism.compiled import blocks
 from orthoglide.mechanism.six_bars import LINES
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings
@@ -148,12 +148,8 @@ class MeasurementModel:
     def linearise(
         self, model: Model, values: Mapping[str, float], names: Sequence[str]
     ) -> LinearRows:
-        """Return the readings with their derivative by parameters of machine and instruments.
-
-        Args:
-            model: of the machine.
-            values: all parameters that are not zero, SI.
-            names: the parameters to differentiate by ``P``.
+        """Return the readings with their derivative by ``P`` parameters of machine and instruments,
+        at the values of all that are not zero, SI.
         """
         column = {name: k for k, name in enumerate(names)}
         of_machine = [n for n in names if n in model.displacement_model.parameter_index]

@@ -15,8 +15,8 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.instruments import Observation
 from orthoglide.machine_file.model import Stiffness
 from orthoglide.mechanism import Mechanism
+from orthoglide.mechanism.compiled import blocks
 from orthoglide.mechanism.engine import Engine, Outputs, PinocchioEngine, SixBars
-from orthoglide.mechanism.rows import blocks
 from orthoglide.mechanism.six_bars import LINES, OUTPUT_SIZE, TCP, VIRTUAL_PER_LEG
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.prediction.conditions import Conditions
@@ -239,25 +239,18 @@ class Model:
 
 
 def joint_forces(tangent: Array, load: Array) -> Array:
-    """Return the force of a load on the drives and virtual joints ``(n, 33)``, N and N m.
+    """Return the force of a load along base -z, newtons, on the drives and virtual joints ``(n,
+    33)``, N and N m.
 
-    By virtual work it is the load times the distance by which the TCP sinks for a unit of travel
-    or displacement. On a bar's stretch it is the pull in the bar.
-
-    Args:
-        tangent: derivative of the outputs by travel and displacements ``(n, 48, 33)``.
-        load: at the TCP along base -z ``(n,)``, newtons.
+    By virtual work it is the load times the distance by which the TCP sinks for a unit of travel or
+    displacement: ``tangent`` ``(n, 48, 33)``. On a bar's stretch it is the pull in the bar.
     """
     return np.asarray(-load[:, None] * tangent[:, 2])
 
 
 def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
-    """Return the force on each carriage of a machine without errors ``(n, 3)``, newtons.
-
-    Args:
-        engine: closes postures.
-        travel: of the drives ``(n, 3)``, metres.
-        load: at the TCP along base -z ``(n,)``, newtons.
+    """Return the force of a load at the TCP on each carriage of a machine without errors ``(n,
+    3)``, newtons.
     """
     _, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
     return joint_forces(tangent, load)[:, :3]
@@ -280,15 +273,11 @@ def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array
 
 
 def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
-    """Return the derivative of the pull in the six bars ``(n, 6, k)``, from that of the outputs.
+    """Return the derivative of the pull in the six bars ``(n, 6, k)``, from that of the outputs
+    ``(n, 48, k)``.
 
     Six bars are statically determinate: ``sum_k t_k u_k = (0, 0, -load)`` and, about the TCP,
     ``sum_k t_k (arm_k x u_k) = 0``.
-
-    Args:
-        outputs: closed postures.
-        tangent: derivative of the outputs ``(n, 48, k)``.
-        tension: pull in the bars ``(n, 6)``, newtons.
     """
     n, k = len(tension), tangent.shape[2]
     start, end = np.moveaxis(outputs.lines.reshape(n, 6, 2, 3), 2, 0)

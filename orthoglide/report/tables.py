@@ -15,7 +15,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine_file import MachineFile
 from orthoglide.numerals import mm_text
 from orthoglide.observations import Readings
-from orthoglide.observations.columns import native_command_names
+from orthoglide.observations.table import native_command_names
 from orthoglide.report.sentences import headline
 from orthoglide.result import Result
 from orthoglide.text import csv_text
