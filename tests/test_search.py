@@ -18,7 +18,7 @@ from orthoglide.explanation.full_likelihood import FullLikelihood, _span
 from orthoglide.explanation.linear_model import Group, LinearModel, identity_group, left_singular
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.explanation.search import Search, State, explained_by_group
-from orthoglide.fit.weighing import Weighing
+from orthoglide.fit.noise import Weighing
 from orthoglide.geometry import Array
 
 ROWS = 24

@@ -9,9 +9,9 @@ import pytest
 
 import orthoglide as og
 from orthoglide.errors import SolverError
+from orthoglide.fit.noise import Weighing
 from orthoglide.fit.notes import tolerance_notes
 from orthoglide.fit.repeats import repeat_variance, total_variance
-from orthoglide.fit.weighing import Weighing
 from orthoglide.machine_file import Dial
 from orthoglide.simulation import simulate
 

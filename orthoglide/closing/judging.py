@@ -9,7 +9,8 @@ import numpy as np
 
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.scores import FittedRows, rms_by_unit
+from orthoglide.fit.noise import rms_by_unit
+from orthoglide.fit.scores import FittedRows
 from orthoglide.geometry import Array, align_points
 from orthoglide.machine import Machine
 from orthoglide.numerals import SIGMAS_95, ByUnit, compact, distinct_figures

@@ -17,7 +17,7 @@ import numpy as np
 from orthoglide.accuracy import tcp_slopes, without_translation, workspace_commands
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation.full_posterior import FullPosterior
-from orthoglide.fit.scores import rms_by_unit
+from orthoglide.fit.noise import rms_by_unit
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.numerals import ByUnit

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from orthoglide.explanation.linear_model import NO_REMAINDER, StationRemainder
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
-from orthoglide.fit.weighing import Weighing
+from orthoglide.fit.noise import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 

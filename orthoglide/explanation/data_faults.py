@@ -49,7 +49,7 @@ from orthoglide.explanation.overstated_noise import State, with_likelier_noise
 from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.estimate import row_indices
-from orthoglide.fit.scores import rms_by_unit
+from orthoglide.fit.noise import rms_by_unit
 from orthoglide.notes import Note
 from orthoglide.observations import Readings, source
 from orthoglide.observations.touched_plates import disagreements

@@ -22,7 +22,7 @@ from scipy.linalg import qr, solve_triangular
 
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.faults import Rows
-from orthoglide.fit.weighing import Weighing
+from orthoglide.fit.noise import Weighing
 from orthoglide.geometry import Array
 from orthoglide.observations.arrays import group_ids
 

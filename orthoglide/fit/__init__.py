@@ -7,7 +7,7 @@ In the order of the data:
 - ``factors``: a table of readings with its noise and its instruments in place.
 - ``unknowns``: the parameters to identify; ``problem``: unknowns and factors of an identification,
   ``assembling``: its construction, and the effects that its readings could show.
-- ``weighing``: rows in units of their noise; ``least_squares``: the linear problem around a point.
+- ``least_squares``: the linear problem around a point, rows in units of their noise.
 - ``solving``: choice of the method and tests of its answer; ``gauss_newton``: nested closures;
   ``nlp``: a programme with the closures as constraints.
 - ``crosscheck``: comparison with the reduction, and with postures closed by Pinocchio.

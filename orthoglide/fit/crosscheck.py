@@ -61,10 +61,6 @@ class ReducedFactor(Factor):
             r.sign * value, r.sign[:, None] * predicted.gradient[:, columns], unplaced
         )
 
-    def predict(self, model: Model, values: Mapping[str, float]) -> Array:
-        """Return the predicted readings ``(n,)``."""
-        return self.linearise(model, values, ()).value
-
 
 def by_reduction(problem: Problem, *, linear: bool = False) -> Problem:
     """Return a problem with the reduction, or with its linearisation (11), in place of the

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Factor
-from orthoglide.fit.noise import NO_WEIGHT
+from orthoglide.fit.noise import NO_WEIGHT, Weighing
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.ordering import RELATIVE_MARGIN, canonical_basis, largest, ranked
 from orthoglide.prediction import ReadingPoses

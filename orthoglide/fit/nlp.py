@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from orthoglide.errors import SolverError
 from orthoglide.fit.factors import Factor
 from orthoglide.fit.least_squares import NormalEquations, Nuisances
+from orthoglide.fit.noise import Weighing
 from orthoglide.fit.problem import Problem
-from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.instruments import POSE_SIZE
 from orthoglide.mechanism.six_bars import OUTPUT_SIZE

@@ -1,12 +1,14 @@
 """Standard deviation of one reading: declared, from the machine file, from repeats, or usual.
 
 The same rules hold for all kinds of readings. The rounding of an instrument's display is added.
+`Weighing` measures rows in units of that noise.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from numbers import Real
 from typing import Any, Literal
 
@@ -24,10 +26,12 @@ from orthoglide.fit.repeats import (
     readings_of_finest_step,
     repeat_variance,
     total_variance,
+    widen_at_rounding_edges,
 )
 from orthoglide.geometry import Array
 from orthoglide.instruments import LegDial, Observation
 from orthoglide.machine_file import Instrument, MachineFile
+from orthoglide.numerals import ByUnit
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.units import NOISE_LIMITS
@@ -44,9 +48,6 @@ PUBLISHED_REPEATABILITY = LegDial.repeatability
 """Metres: the repeatability stated in 2008, section 4.1; the default."""
 
 _NEGLIGIBLE_SHARE = 0.01  # share of a variance below which a component is neglected
-_SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: scatter alone shows one digit
-_MEAN_RANGE = 2 / np.sqrt(np.pi)  # mean difference of two readings, sigmas
-_MAX_EDGE_SHARE = 0.25  # share of stations at rounding edges, beyond those that scatter explains
 
 
 @dataclass(frozen=True, repr=False)
@@ -182,13 +183,22 @@ def noise_of(
     return summary, tuple(row_noises)
 
 
+def rms_by_unit(rows: Array, angular: NDArray[np.bool_]) -> ByUnit:
+    """Return the root mean squares of lengths, metres, and of angles, radians ``(n,)``; nan values
+    do not count.
+    """
+    finite = np.isfinite(rows)
+    parts = (rows[finite & ~angular], rows[finite & angular])
+    return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
+
+
 def rms_noise(given: Sequence[Readings], sigma: Sequence[Array]) -> float:
     """Return the root mean square of the noise of lengths, or of angles where there are none, by
     the standard deviations ``(n,)`` of each table's readings.
     """
-    sigmas, angular = np.concatenate(sigma), np.concatenate([table.angular for table in given])
-    used = sigmas[~angular] if (~angular).any() else sigmas
-    return float(np.sqrt(np.mean(used**2)))
+    angular = np.concatenate([table.angular for table in given])
+    rms = rms_by_unit(np.concatenate(sigma), angular)
+    return rms.turn if angular.all() else rms.length
 
 
 def _noise_of_kind(
@@ -228,7 +238,7 @@ def _noise_of_kind(
         total = np.where(has_sigma, np.hypot(table.sigma, rounding / np.sqrt(12)), total)
         if common.any():
             own = np.sqrt(np.maximum(total**2 - common**2, _NEGLIGIBLE_SHARE * total**2))
-            widened = _widen_at_rounding_edges(table, own, common, rounding)
+            widened = widen_at_rounding_edges(table, own, common, rounding)
             total = np.where(common > 0, widened, total)
         usual = instrument.repeatability or observation.repeatability
         expected = np.hypot(usual, step / np.sqrt(12))
@@ -262,33 +272,6 @@ def _instrument_steps(given: Readings, resolution: float) -> Array:
         return dial_steps(given, resolution)
     step = 0.0 if given.on_legs.any() else apparent_step(given.reading)
     return np.full(len(given), step)
-
-
-def _widen_at_rounding_edges(
-    campaign: Readings, sigma: Array, common: Array, resolution: Array
-) -> Array:
-    """Return sigmas ``(n,)`` of dials, at least half a step where a station's visits show two
-    neighbouring digits.
-
-    There the true value is at the edge between them, and a dial with little scatter shows one or
-    the other. The difference of a whole step would appear to be a slip, or a drift. Where too many
-    stations show several digits, the dial scatters more than declared, and no sigma is changed.
-    """
-    station = group_ids(campaign.stations)
-    visits = np.bincount(station)
-    low = np.full(len(visits), np.inf)
-    high = -low
-    np.minimum.at(low, station, campaign.reading)
-    np.maximum.at(high, station, campaign.reading)
-    spread = (high - low)[station]
-    scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
-    chance = _MEAN_RANGE * (visits[station] - 1) * scatter / resolution
-    differs = spread > 0.5 * resolution
-    again = np.flatnonzero(visits[station] > 1)
-    if len(again) and np.mean(differs[again]) > _MAX_EDGE_SHARE + np.mean(chance[again]):
-        return sigma
-    edge = differs & (spread < 1.5 * resolution) & (resolution > _SIGMAS_PER_STEP * sigma)
-    return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
 def check_noise(noise: float, least: float = NOISE_LIMITS[0]) -> float:
@@ -328,3 +311,77 @@ def _scatter(
         total = max(float(total_variance(variance, step)), observation.least_noise**2)
         return float(np.sqrt(max(total - step**2 / 12, 0.0))), "repeats", dof
     return observation.repeatability, "usual", np.inf
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Weighing:
+    """The inverse root of the covariance of rows: readings in units of their noise.
+
+    The covariance of a station's readings is ``diag(sigma^2) + common^2``: independent scatter, and
+    a rounding error that they share. Its inverse root is a diagonal and one direction a station,
+    which needs no matrix of rows times stations::
+
+        W = (1 - a u u^T) diag(1 / sigma),   u ~ 1 / sigma
+        a = 1 - 1 / sqrt(1 + common^2 sum(1 / sigma^2))
+    """
+
+    sigma: Array  # of each row, reduced by averaging (n,), metres
+    common: Array  # of each row, shared by its station (n,), metres; one figure a station
+    station: NDArray[np.int64]  # of each row (n,)
+
+    def subset(self, rows: NDArray[Any]) -> Weighing:
+        """Return the weighing of some rows, given as indices or booleans ``(n,)``."""
+        return Weighing(self.sigma[rows], self.common[rows], group_ids(self.station[rows]))
+
+    @cached_property
+    def weight(self) -> Array:
+        """1 / sigma of each row ``(n,)``."""
+        return 1 / self.sigma
+
+    @cached_property
+    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows sorted by station, and the index of each station's first one among them."""
+        order = np.argsort(self.station, kind="stable")
+        return order, np.flatnonzero(np.diff(self.station[order], prepend=-1))
+
+    @cached_property
+    def direction(self) -> Array:
+        """Direction of the common error of each station, whitened, of unit length ``(n,)``."""
+        return self.weight / np.sqrt(np.bincount(self.station, self.weight**2))[self.station]
+
+    @cached_property
+    def _stretch(self) -> Array:
+        """Standard deviation along ``direction`` over that without common error ``(n,)``."""
+        square = np.bincount(self.station, self.weight**2)[self.station]
+        return np.sqrt(1 + self.common**2 * square)
+
+    @property
+    def log_determinant(self) -> float:
+        """Log determinant of the covariance, metres squared."""
+        return 2 * float(np.log(self.sigma).sum() + np.log(self._stretch[self.first_rows]).sum())
+
+    def station_components(self, rows: Array) -> Array:
+        """Part of whitened rows ``(n, ...)`` along each station's direction ``(stations, ...)``."""
+        order, starts = self._sorted
+        return np.add.reduceat((rows.T * self.direction).T[order], starts, axis=0)
+
+    @cached_property
+    def first_rows(self) -> NDArray[np.int64]:
+        """The first row of each station ``(stations,)``."""
+        order, starts = self._sorted
+        return order[starts]
+
+    def _scaled(self, rows: Array, factor: Array) -> Array:
+        """Rows with their part along each station's direction multiplied by ``factor (n,)``."""
+        if not self.common.any():
+            return rows
+        part = self.station_components(rows)[self.station]
+        return np.asarray(rows + (part.T * (self.direction * (factor - 1))).T)
+
+    def whiten(self, rows: Array) -> Array:
+        """Return whitened rows ``(n, ...)``, dimensionless, from rows in metres."""
+        return self._scaled((rows.T * self.weight).T, 1 / self._stretch)
+
+    def metres(self, rows: Array) -> Array:
+        """Return whitened rows ``(n, ...)`` in metres; the inverse of :meth:`whiten`."""
+        return np.asarray((self._scaled(rows, self._stretch).T * self.sigma).T)

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orthoglide.fit.factors import Factor, NuisanceBlock
-from orthoglide.fit.noise import Noise
+from orthoglide.fit.noise import Noise, Weighing, rms_by_unit
 from orthoglide.fit.repeats import MIN_REPEAT_DOF, repeat_variance
 from orthoglide.fit.unknowns import Unknown, posterior_rows, shared_error_rows, weight_matrix
-from orthoglide.fit.weighing import Weighing
 from orthoglide.geometry import Array
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
@@ -149,9 +148,7 @@ class Problem:
     @property
     def single_reading_sd(self) -> ByUnit:
         """Standard deviation of a single reading, rms: of a length, and of an inclination."""
-        of_unit = (self.reading_sd[u & self.weighted] for u in (~self.angular, self.angular))
-        rms = (np.sqrt(np.mean(sd**2)) if len(sd) else np.nan for sd in of_unit)
-        return ByUnit(*map(float, rms))
+        return rms_by_unit(self.reading_sd[self.weighted], self.angular[self.weighted])
 
     @property
     def declared_noise(self) -> float:

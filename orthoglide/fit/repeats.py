@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
+from orthoglide.observations.arrays import group_ids
 from orthoglide.observations.tables import repeat_steps
 from orthoglide.ordering import descending, largest
 
@@ -21,6 +22,9 @@ _INCH_STEPS = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
 _DISPLAY_TOLERANCE = 1e-3  # of a step, by which a figure that is printed in it may be off
 _CHANCE = 1e-3  # of readings that all fall on a coarser step than their dial has
 _MIN_READINGS_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
+_SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: scatter alone shows one digit
+_MEAN_RANGE = 2 / np.sqrt(np.pi)  # mean difference of two readings, sigmas
+_MAX_EDGE_SHARE = 0.25  # share of stations at rounding edges, beyond those that scatter explains
 MIN_REPEAT_DOF = 6  # degrees of freedom below which repeats say too little of the noise
 
 
@@ -160,6 +164,33 @@ def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:
         count += len(steps)
     # Differences of a run share readings: n of them carry about two thirds n degrees of freedom.
     return (total / count if count else float("nan")), int(np.floor(2 * count / 3))
+
+
+def widen_at_rounding_edges(
+    campaign: Readings, sigma: Array, common: Array, resolution: Array
+) -> Array:
+    """Return sigmas ``(n,)`` of dials, at least half a step where a station's visits show two
+    neighbouring digits.
+
+    There the true value is at the edge between them, and a dial with little scatter shows one or
+    the other. The difference of a whole step would appear to be a slip, or a drift. Where too many
+    stations show several digits, the dial scatters more than declared, and no sigma is changed.
+    """
+    station = group_ids(campaign.stations)
+    visits = np.bincount(station)
+    low = np.full(len(visits), np.inf)
+    high = -low
+    np.minimum.at(low, station, campaign.reading)
+    np.maximum.at(high, station, campaign.reading)
+    spread = (high - low)[station]
+    scatter = np.sqrt(np.maximum(sigma**2 + common**2 - resolution**2 / 12, 0.0))
+    chance = _MEAN_RANGE * (visits[station] - 1) * scatter / resolution
+    differs = spread > 0.5 * resolution
+    again = np.flatnonzero(visits[station] > 1)
+    if len(again) and np.mean(differs[again]) > _MAX_EDGE_SHARE + np.mean(chance[again]):
+        return sigma
+    edge = differs & (spread < 1.5 * resolution) & (resolution > _SIGMAS_PER_STEP * sigma)
+    return np.where(edge, np.maximum(sigma, resolution / 2), sigma)
 
 
 # Roughness of a plate -------------------------------------------------------------------------

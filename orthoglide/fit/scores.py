@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orthoglide.fit.least_squares import (
     Linearised,
@@ -15,9 +14,9 @@ from orthoglide.fit.least_squares import (
     fitted_basis,
     project_out,
 )
+from orthoglide.fit.noise import rms_by_unit
 from orthoglide.fit.problem import Problem
 from orthoglide.geometry import Array
-from orthoglide.numerals import ByUnit
 from orthoglide.result.fits import Scores
 
 LACK_OF_FIT = 0.01
@@ -129,15 +128,6 @@ def cross_validation_improvement(before: FittedRows, after: FittedRows) -> tuple
     dof = tested - float(np.sum(before.station_hat_eigenvalues))
     error = float(np.std(mean, ddof=1)) if dof >= _MIN_DOF else float("inf")
     return float(mean.mean()), error / np.sqrt(len(mean))
-
-
-def rms_by_unit(rows: Array, angular: NDArray[np.bool_]) -> ByUnit:
-    """Return the root mean squares of lengths, metres, and of angles, radians ``(n,)``; nan values
-    do not count.
-    """
-    finite = np.isfinite(rows)
-    parts = (rows[finite & ~angular], rows[finite & angular])
-    return ByUnit(*(float(np.sqrt(np.mean(p**2))) if len(p) else float("nan") for p in parts))
 
 
 def smaller_p_value(first: float, second: float) -> float:
