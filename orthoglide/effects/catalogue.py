@@ -135,11 +135,6 @@ class Catalogue(Mapping[str, Effect]):
         return tuple(self.motions)
 
     @cached_property
-    def instrument_effects(self) -> tuple[Effect, ...]:
-        """Effects of dials and plates, in the order in which they change a reading."""
-        return tuple(e for e in self.effects if e.of_dial)
-
-    @cached_property
     def default_tolerance(self) -> Mapping[str, float]:
         """Default standard deviation to expect of every effect, SI."""
         return {e.name: e.tolerance_si for e in self.effects}

@@ -190,11 +190,6 @@ class SetupReadings:
     value: Array  # readings, counted along that axis (m,); nan where not taken yet
     sigma: Array  # standard deviation of each (m,)
 
-    @property
-    def is_unread(self) -> bool:
-        """Whether the readings are still to be taken."""
-        return bool(np.isnan(self.value).all())
-
 
 _LEAST_NOISE_RATIO = 0.05  # share of the usual noise
 

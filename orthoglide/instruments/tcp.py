@@ -80,7 +80,7 @@ class Coordinate(Observation):
         self, readings: SetupReadings, initial: InstrumentPose | None, priors: InstrumentPriors
     ) -> InstrumentPose:
         """Return the frame in which the coordinates were read; the base's before readings."""
-        if priors.tracker_frame != "rigid" or readings.is_unread:
+        if priors.tracker_frame != "rigid" or np.isnan(readings.value).all():
             return InstrumentPose()
         start = None if initial is None else initial.rotation
         sd, r = self._rotation_sd(readings.axis, priors), readings

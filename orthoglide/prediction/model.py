@@ -141,7 +141,9 @@ class Model:
 
     def instrument_effects(self, observation: Observation) -> tuple[Effect, ...]:
         """Return the effects of a kind's instrument, in the order of its formula."""
-        return tuple(e for e in self.catalogue.instrument_effects if observation.is_affected_by(e))
+        return tuple(
+            e for e in self.catalogue.effects if e.of_dial and observation.is_affected_by(e)
+        )
 
     def instrument_parameters(self, observation: Observation, setup: str) -> tuple[str, ...]:
         """Return the names of the ``D`` parameters of a setup's instrument."""
