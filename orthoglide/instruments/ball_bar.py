@@ -23,12 +23,7 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.pose_estimation import (
-    estimate_sphere_centre,
-    plane_normal,
-    wrong_unit,
-    wrong_unit_of_constant,
-)
+from orthoglide.instruments.unit_mistakes import FACTORS, MIN_READINGS, unit_error, wrong_unit
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2
@@ -36,6 +31,12 @@ BALL_CENTRE_SD = 1e-2
 usable machine from its nominal. It matters only across the plane of a circle: other directions
 are known far better from the readings."""
 
+_MAX_STEPS = 50  # of Gauss-Newton
+_STEP_TOLERANCE = 1e-13  # metres
+_PLANARITY = 1e-2  # largest distance of points from their plane, over their extent
+_MIN_OFFSET_SQUARED = 0.25  # squared height over radius; errors of zeros cause less
+_CENTRE_PRIOR_WEIGHT = 5e-3  # weight of the initial centre: noise of 5 um against a millimetre
+_CONSTANT_SPAN = 1e-5  # metres
 _MIN_PLANE_DISTANCE = 0.1  # height of a ball above the plane of the points, over their extent
 
 
@@ -109,6 +110,58 @@ class BallBar(Observation):
             off = off_sphere(length)
             return np.asarray(off - off.mean())
 
-        return wrong_unit(readings.value, residual) or wrong_unit_of_constant(
-            readings.value, lambda length: float(off_sphere(length).mean())
+        value = readings.value
+        if error := wrong_unit(value, residual):
+            return error
+        if len(value) < MIN_READINGS or np.ptp(value) > _CONSTANT_SPAN:
+            return ""
+        # Deviations of a real machine are micrometres or more, but a constant fits in any unit.
+        # That is found from the offset of the bar's length.
+        span = f"{_CONSTANT_SPAN * 1e3:g} mm"
+        finding = f"vary by less than {span}, as those of no machine do, and are lengths"
+        return unit_error(np.array([abs(off_sphere(f * value).mean()) for f in FACTORS]), finding)
+
+
+def estimate_sphere_centre(p: Array, distance: Array, initial: Array | None = None) -> Array:
+    """Return the centre of the sphere from which points ``(n, 3)`` have measured distances
+    ``(n,)``, up to a common offset.
+
+    The distances do not determine the centre across the plane of a circle: there it stays near
+    the initial centre ``(3,)``. Without one, it is in the plane, or below it by the height that
+    distances which are lengths give.
+    """
+    if initial is None:
+        mean = p.mean(axis=0)
+        scale = max(float(np.sqrt(np.mean((p - mean) ** 2))), 1e-9)
+        q = (p - mean) / scale
+        squares = np.sum(q * q, axis=1) - (distance / scale) ** 2
+        columns = np.column_stack([2 * q, np.ones(len(q))])
+        solution = np.linalg.lstsq(columns, squares, rcond=_PLANARITY)[0][:3]
+        if (normal := plane_normal(p)) is not None and distance.min() > 0:
+            # Lengths give the height above the plane, but not the side.
+            squared_height = np.mean((distance / scale) ** 2 - np.sum((q - solution) ** 2, axis=1))
+            if squared_height > _MIN_OFFSET_SQUARED:
+                solution = solution + np.sqrt(squared_height) * normal
+        initial = mean + scale * solution
+    centre, bar_length = initial, 0.0
+    prior_rows = _CENTRE_PRIOR_WEIGHT * np.eye(3, 4)
+    for _ in range(_MAX_STEPS):
+        from_centre = p - centre
+        length = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-9)
+        jacobian = np.column_stack([-from_centre / length[:, None], np.ones(len(p))])
+        residual = np.concatenate(
+            [distance - length - bar_length, _CENTRE_PRIOR_WEIGHT * (initial - centre)]
         )
+        step = np.linalg.lstsq(np.vstack([jacobian, prior_rows]), residual, rcond=1e-9)[0]
+        centre, bar_length = centre + step[:3], bar_length + float(step[3])
+        if np.abs(step).max() < _STEP_TOLERANCE:
+            break
+    return np.asarray(centre)
+
+
+def plane_normal(p: Array) -> Array | None:
+    """Return the downward unit normal of the plane of points ``(n, 3)``; ``None`` without plane."""
+    _, singular_values, directions = np.linalg.svd(p - p.mean(axis=0), full_matrices=False)
+    if len(singular_values) < 3 or singular_values[2] > _PLANARITY * singular_values[1]:
+        return None
+    return np.asarray(-np.copysign(1.0, directions[2, 2]) * directions[2])

@@ -23,7 +23,7 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.pose_estimation import wrong_unit
+from orthoglide.instruments.unit_mistakes import wrong_unit
 
 PRINTED = "printed"
 SHRINKAGE_BY_MATERIAL = {"": (0.0, 0.01), PRINTED: (0.003, 0.003), "metal": (0.0, 2e-4)}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 
 from orthoglide.effects import Effect
-from orthoglide.geometry import LEGS, Array
+from orthoglide.geometry import LEGS, Array, rotation_columns
 from orthoglide.instruments.observation import (
     InstrumentPose,
     InstrumentPriors,
@@ -22,13 +23,31 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.pose_estimation import estimate_frame, wrong_frame
-from orthoglide.numerals import plain
+from orthoglide.instruments.unit_mistakes import (
+    FACTORS,
+    MAX_RESIDUAL_RATIO,
+    MIN_MISFIT,
+    MIN_READINGS,
+    index_of_smallest,
+    unit_error,
+)
+from orthoglide.numerals import MINUS, compact, plain
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of
+from orthoglide.units import UNIT_MISTAKES
 
 HELD_DIRECTION_SD = 0.02
 """Standard deviation of the direction of a dial that is held at the tool, radians: a degree."""
 
+_MAX_STEPS = 30  # of Gauss-Newton
+_STEP_TOLERANCE = 1e-13  # metres or radians
+_SINGULAR_VALUE_CUTOFF = 1e-3  # relative: rotations that the readings determine less are left out
 _MISALIGNED_SIGMAS = 3.0  # standard deviations from which a warning is given
+_FRAMES = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+]
+_MIRRORED = np.linalg.det(_FRAMES) < 0
 
 
 class Coordinate(Observation):
@@ -114,6 +133,113 @@ class Coordinate(Observation):
     def find_unit_or_frame_error(
         self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
-        """Return a sentence on the frame or unit that the coordinates seem to have by mistake."""
-        sd = self._rotation_sd(readings.axis, priors)
-        return wrong_frame(readings.p, readings.axis, readings.value, sd)
+        """Return a sentence on the frame or unit that the coordinates seem to have by mistake.
+
+        A rotation is no mistake where it has no prior, as it is estimated later.
+        """
+        p, axis, value = readings.p, readings.axis, readings.value
+        sd = self._rotation_sd(axis, priors)
+        if len(value) < MIN_READINGS:
+            return ""
+        rms = _residual_rms(np.eye(3), p, axis, value)
+        if rms[0] < MIN_MISFIT:
+            return ""
+        if np.isinf(sd):
+            frame = estimate_frame(p, axis, value, np.full(len(p), MIN_MISFIT), sd)
+            limit = max(MIN_MISFIT, MAX_RESIDUAL_RATIO * rms[0])
+            if _residual_rms(frame, p, axis, value)[0] < limit:
+                return ""
+        candidates = np.stack([_residual_rms(frame, p, axis, value) for frame in _FRAMES])
+        # For points in one plane a mirrored frame fits as well as a rotated one: that is preferred.
+        penalty = np.where(_MIRRORED, 1 / MAX_RESIDUAL_RATIO, 1.0)
+        best, unit = np.unravel_index(
+            index_of_smallest(candidates * penalty[:, None]), candidates.shape
+        )
+        frame, residual = _FRAMES[best], candidates[best, unit]
+        if residual > MAX_RESIDUAL_RATIO * rms[0]:
+            return ""
+        if np.allclose(frame, np.eye(3)):
+            return unit_error(rms)
+        handedness = "left-handed" if np.linalg.det(frame) < 0 else "turned"
+        factor = float(FACTORS[unit])
+        unit_clause = "" if factor == 1 else f", and they are {UNIT_MISTAKES[factor]}"
+        return (
+            f"the coordinates are {compact(rms[0] * 1e3, 2)} mm rms off where this machine can be: "
+            f"the frame of the instrument is {handedness}, its x, y, z being "
+            f"{', '.join(map(_axis_label, frame))} of the machine{unit_clause}; "
+            f"give the coordinates along the machine's axes"
+        )
+
+
+def estimate_frame(
+    p: Array,
+    axis: Ints,
+    value: Array,
+    sigma: Array,
+    sd: float,
+    start: Array | None = None,
+) -> Array:
+    """Return the axes, in the base, of the frame in which coordinates were read ``(3, 3)``.
+
+    Each axis has a free datum. Gauss-Newton; rotations that the readings do not determine are zero.
+
+    Args:
+        p: measured points on the machine ``(n, 3)``, metres.
+        axis: axis of the frame that was read ``(n,)``.
+        value: coordinates read ``(n,)``, metres.
+        sigma: standard deviation of each ``(n,)``, metres.
+        sd: prior standard deviation of the rotation from the base, radians; may be infinite.
+        start: initial frame; if ``None``, the base's, or without a prior the best of those along
+            the base's axes.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rows, centred = np.arange(len(p)), p - p.mean(axis=0)
+    datum = np.eye(3)[axis]
+
+    def linearise(rotation: Array) -> tuple[Array, Array]:
+        """Return the Gauss-Newton step, and the whitened residuals after it."""
+        coordinates = centred @ rotation.T
+        columns = np.hstack([rotation_columns(coordinates, axis), datum]) / sigma[:, None]
+        deviation = Rotation.from_matrix(rotation).as_rotvec() / sd
+        residual = np.append((value - coordinates[rows, axis]) / sigma, -deviation)
+        columns = np.vstack([columns, np.eye(3, 6) / sd])
+        scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        step = np.linalg.lstsq(columns / scale, residual, rcond=_SINGULAR_VALUE_CUTOFF)[0] / scale
+        return step[:3], residual - columns @ step
+
+    def cost(rotation: Array) -> float:
+        residual = linearise(rotation)[1]
+        return float(residual @ residual)
+
+    if start is not None:
+        rotation = start
+    elif np.isfinite(sd):
+        rotation = np.eye(3)
+    else:
+        axis_rotations = Rotation.create_group("O").as_matrix()
+        rotation = best_of(
+            axis_rotations, lambda r: -float(np.log(max(cost(r), 1e-300))), LOG_ODDS_MARGIN
+        )
+    for _ in range(_MAX_STEPS):
+        step, _ = linearise(rotation)
+        rotation = Rotation.from_rotvec(step).as_matrix() @ rotation
+        if np.abs(step).max() < _STEP_TOLERANCE:
+            break
+    return np.asarray(rotation)
+
+
+def _residual_rms(frame: Array, p: Array, axis: Ints, value: Array) -> Array:
+    """Return the rms residual by factor ``(factors,)``, metres, for an instrument in a frame, with
+    a datum per axis and a small rotation fitted.
+    """
+    coordinates, rows = p @ frame.T, np.arange(len(p))
+    columns = np.column_stack([np.eye(3)[axis], rotation_columns(coordinates, axis)])
+    residual = value[:, None] * FACTORS - coordinates[rows, axis][:, None]
+    residual = residual - columns @ np.linalg.lstsq(columns, residual, rcond=1e-9)[0]
+    return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
+
+
+def _axis_label(row: Array) -> str:
+    k = int(np.argmax(np.abs(row)))
+    return f"{MINUS if row[k] < 0 else ''}{LEGS[k]}"
