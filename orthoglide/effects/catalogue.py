@@ -290,8 +290,9 @@ class Catalogue(Mapping[str, Effect]):
                 members[Parameter(name, leg, member="size")] = dict(effect.shape)
         elif directions == set(self.legs.legs):  # legs lie along each other's directions
             add("common", dict.fromkeys(parameters, 1.0))
-            add("cyclic", {p: self._cyclic_sign(p) for p in parameters})
             legs = self.legs.legs
+            ahead = {leg: b for leg, (b, _) in zip(legs, self.legs.across, strict=True)}
+            add("cyclic", {p: 1.0 if p.direction == ahead[p.leg] else -1.0 for p in parameters})
             for first, second in zip(legs, (*legs[1:], legs[0]), strict=True):
                 one_way = Parameter(name, first, second)
                 other_way = Parameter(name, second, first)
@@ -307,10 +308,6 @@ class Catalogue(Mapping[str, Effect]):
         elif len(parameters) > 1 and not effect.per_setup:
             add("common", dict.fromkeys(parameters, 1.0))
         return members
-
-    def _cyclic_sign(self, parameter: Parameter) -> float:
-        first, _ = self.legs.across[self.legs.index(parameter.leg)]
-        return 1.0 if parameter.direction == first else -1.0
 
 
 CATALOGUE = Catalogue(

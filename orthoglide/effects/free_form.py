@@ -85,7 +85,8 @@ class FreeForm(FreeFormPlace):
         """The effect with one parameter a coefficient, for a machine that has this error."""
         kernel = self.kernel.lasting if isinstance(self.kernel, Step) else self.kernel
         lasting = replace(self, kernel=kernel)
-        return lasting._effect(partial(_members, lasting))
+        coefficients = {str(k + 1): {k: 1.0} for k in range(kernel.count)}
+        return lasting._effect(partial(_members, lasting, coefficients))
 
     def shape_effect(self, coefficients: Array) -> Effect:
         """Return the effect of the error with the shape that it was found with: its one parameter
@@ -94,7 +95,8 @@ class FreeForm(FreeFormPlace):
         ``coefficients``: its mean ``(k,)``, in their prior standard deviations.
         """
         size = self.size(self.sampled[1] @ coefficients)
-        return self._effect(partial(_shape_members, self, tuple(coefficients / size)))
+        shape = {"": dict(enumerate((coefficients / size).tolist()))}
+        return self._effect(partial(_members, self, shape))
 
     def _effect(self, members: Members) -> Effect:
         unit = RAD if self.is_rotation else MM
@@ -144,32 +146,22 @@ class FreeForm(FreeFormPlace):
         return c.over_stroke(c.commands[drive] - c.command + c.nominal_travel)
 
 
-def _members(form: FreeForm, leg: int) -> Mapping[str, tuple[Motion, ...]]:
-    """Return the members of the effect of a free-form error: one parameter a coefficient."""
+def _members(
+    form: FreeForm, parameters: Mapping[str, Mapping[int, float]], leg: int
+) -> Mapping[str, tuple[Motion, ...]]:
+    """Return the members of the effect of an error: parameters with weights of its functions."""
     return {
-        str(k + 1): tuple(Motion(j, partial(_basis, form, k, share)) for j, share in form.joints)
-        for k in range(form.kernel.count if leg == form.leg else 0)
+        name: tuple(Motion(j, partial(_basis, form, weights, share)) for j, share in form.joints)
+        for name, weights in parameters.items()
+        if leg == form.leg
     }
 
 
-def _shape_members(
-    form: FreeForm, shape: tuple[float, ...], leg: int
-) -> Mapping[str, tuple[Motion, ...]]:
-    """Return the member of the effect of a free-form error of one shape."""
-    if leg != form.leg:
-        return {}
-    return {"": tuple(Motion(j, partial(_shape, form, shape, share)) for j, share in form.joints)}
-
-
-def _shape(
-    form: FreeForm, shape: tuple[float, ...], share: float, conditions: LegConditions
+def _basis(
+    form: FreeForm, weights: Mapping[int, float], share: float, conditions: LegConditions
 ) -> Any:
-    functions = form.functions(conditions)
-    return share * sum(weight * f for weight, f in zip(shape, functions, strict=True))
-
-
-def _basis(form: FreeForm, k: int, share: float, conditions: LegConditions) -> Any:
-    return share * form.functions(conditions, slice(k, k + 1))[0]
+    parts = (w * form.functions(conditions, slice(k, k + 1))[0] for k, w in weights.items())
+    return share * sum(parts)
 
 
 _SCREW_GROWTH = 10 * _UM  # half a stroke of steel, 80 mm, that warms by ten kelvin

@@ -308,8 +308,8 @@ def _scaled_columns(
     errors = (*machine_errors, *dial_errors)
     units = np.concatenate([sd, *(np.full(e.kernel.count, e.prior_sd) for e in errors), plate_sd])
     rows = MergedRows((), index).beside([linearised.jacobian * sd])
-    rows = rows.beside(machine_blocks)
-    return rows.beside([*dial_blocks, plate_block]), units, errors, len(plate_sd)
+    rows = rows.beside(machine_blocks).beside([*dial_blocks, plate_block])
+    return rows, units, errors, len(plate_sd)
 
 
 def _with_data_faults(model: LinearisedModel, suspects: Sequence[FaultColumns]) -> LinearisedModel:

@@ -192,7 +192,7 @@ def compress_readings(
     kept = values > _ROUNDING * max(values.max(initial=0.0), 1.0)
     values, vectors = values[kept], vectors[:, kept]
     transform = (vectors / np.sqrt(values)) / length[:, None]
-    columns = (vectors * np.sqrt(values)).T * length
+    columns = np.asarray((vectors * np.sqrt(values)).T * length)
     compressed_residual = transform.T @ gram[:-1, -1]
     stations = nuisance.weighing.first_rows
     remainder = max(station_chi2 - float(compressed_residual @ compressed_residual), 0.0)

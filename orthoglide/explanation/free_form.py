@@ -123,8 +123,8 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and these
-    errors.
+    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and all
+    of these errors.
 
     Readings under equal conditions have equal columns, except of errors that depend on time or on
     the reading before. With ``first``, only the columns of these have all rows; all other columns

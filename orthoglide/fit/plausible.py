@@ -244,18 +244,13 @@ def sigma_scale_within(problem: Problem, bound: float) -> float:
     more than ``bound``.
     """
     try:
-        if _linear_scale(problem) > bound:
+        linear = linearise(problem, problem.start)
+        nuisance = nuisances(problem, linear.reading_poses)
+        basis = orthonormal(nuisance.project(linear.jacobian))
+        residual = project_out(basis, nuisance.project(problem.measured - linear.value))
+        dof = len(problem.measured) - nuisance.unconstrained_count - basis.shape[1]
+        if np.sqrt(residual @ residual / max(dof, 1)) > bound:
             return np.inf
         return solve(problem, method="nested").sigma_scale
     except NumericsError:
         return np.inf
-
-
-def _linear_scale(problem: Problem) -> float:
-    """Return the ratio of residuals to noise of a linear fit without priors."""
-    linear = linearise(problem, problem.start)
-    nuisance = nuisances(problem, linear.reading_poses)
-    basis = orthonormal(nuisance.project(linear.jacobian))
-    residual = project_out(basis, nuisance.project(problem.measured - linear.value))
-    dof = len(problem.measured) - nuisance.unconstrained_count - basis.shape[1]
-    return float(np.sqrt(residual @ residual / max(dof, 1)))

@@ -48,7 +48,11 @@ def dial_steps(campaign: Readings, resolution: float) -> Array:
     """
     steps = np.empty(len(campaign))
     setups = [campaign.setup == k for k in range(len(campaign.setups))]
-    differences = [_datum_differences(campaign.reading[rows]) for rows in setups]
+    differences = list[Array]()  # from the first reading of each setup, distinct and nonzero
+    for rows in setups:
+        finite = campaign.reading[rows & np.isfinite(campaign.reading)]
+        distinct = np.unique(np.round(finite - finite[:1], 9))
+        differences.append(distinct[distinct != 0])
     common = _coarser_step(np.concatenate(differences), resolution)
     for rows, setup_differences in zip(setups, differences, strict=True):
         larger = _coarser_step(setup_differences, common)
@@ -68,13 +72,6 @@ def _has_coarser_dial(
     other_variance, _ = repeat_variance([campaign.subset(~rows)])
     is_smaller = variance / larger**2 < other_variance / step**2 * np.sqrt(step / larger)
     return bool(is_smaller and dof >= MIN_REPEAT_DOF)
-
-
-def _datum_differences(readings: Array) -> Array:
-    """Return the distinct nonzero differences of a setup's readings from its first one, metres."""
-    finite = readings[np.isfinite(readings)]
-    differences = np.unique(np.round(finite - finite[:1], 9))
-    return np.asarray(differences[differences != 0])
 
 
 def _coarser_step(differences: Array, step: float) -> float:

@@ -43,7 +43,12 @@ class FittedRows:
         predicted = linear.value + nuisance.explained_residual(problem.measured - linear.value)
         basis = fitted_basis(problem, nuisance, linear)
         fitted = basis[: len(predicted)]
-        whitened = _residuals_at_optimum(problem, nuisance, linear, basis)
+        # At the optimum of the linear problem, where a posterior averaged over several priors is
+        # not: divided by 1 - H where H is nearly 1, its residuals would exceed those of each prior.
+        (matrix, target), whitened = problem.prior_rows, np.zeros(len(basis))
+        whitened[: len(predicted)] = nuisance.weighing.whiten(problem.measured - linear.value)
+        whitened[len(predicted) :][: len(target)] = target - matrix @ linear.x
+        whitened = project_out(basis, whitened)[: len(predicted)]
         # Fitted columns may vary within a station: only their effect on its mean counts.
         means = nuisance.weighing.station_components(fitted)
         priors = basis[len(basis) - nuisance.count :]
@@ -178,21 +183,6 @@ def deviation_rms(problem: Problem, residual: Array) -> float:
     others = np.setdiff1d(np.arange(len(count)), first_place[datum])
     deviation = average[others] - np.where(datum, average[first_place], 0.0)[home[others]]
     return float(np.sqrt(np.mean(deviation**2))) if len(deviation) else float("nan")
-
-
-def _residuals_at_optimum(
-    problem: Problem, nuisance: Nuisances, linear: Linearised, basis: Array
-) -> Array:
-    """Return the whitened residuals ``(n,)`` at the optimum of the linear problem.
-
-    A posterior averaged over several priors is not at the optimum of their average. Its residuals
-    there, divided by 1 - H where H is nearly 1, would exceed those of every single prior.
-    """
-    (matrix, target), count = problem.prior_rows, len(problem.measured)
-    residual = np.zeros(len(basis))
-    residual[:count] = nuisance.weighing.whiten(problem.measured - linear.value)
-    residual[count:][: len(target)] = target - matrix @ linear.x
-    return project_out(basis, residual)[:count]
 
 
 def _left_out_residuals(

@@ -232,7 +232,8 @@ class CompilableFunctions:
         key: identifies compiled libraries; see :func:`~orthoglide.mechanism.compiled.compiled`.
         build: returns the CasADi functions.
         shared: number of leading arguments of each function that are common to all rows.
-        worth: number of rows after which the functions are compiled; less than 0 for never.
+        worth: number of rows after which the functions are compiled.
+        compile: ``True`` to compile at once, ``False`` never.
     """
 
     def __init__(
@@ -242,11 +243,15 @@ class CompilableFunctions:
         build: Callable[[], list[Any]],
         shared: int,
         worth: int,
+        compile: bool | None = None,
     ) -> None:
         self._names, self._key, self._build = tuple(names), key, build
-        self._shared, self._compile_after, self._rows_evaluated = shared, worth, 0
+        self._shared, self._rows_evaluated = shared, 0
+        self._compile_after = -1 if compile is False else worth
         self._rows: dict[str, RowFunction] = {}
-        self.compiled = worth >= 0 and self._use_functions(compiled(self._names, key, None))
+        self.compiled = compile is not False and self._use_functions(compiled(names, key, None))
+        if compile:
+            self.compile()
 
     def _use_functions(self, functions: list[Any] | None) -> bool:
         if functions is None:

@@ -7,7 +7,7 @@ virtual joints ``(n, 30)``, metres and radians, and return the same outputs and 
 from __future__ import annotations
 
 import hashlib
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -160,17 +160,14 @@ class SixBars:
         self.mechanism = mechanism
         self.constants = six_bars.constants(mechanism.tree)
         self._rounding = _ROUNDING * float(mechanism.spheres.lengths.max())
-        rows = -1 if compile is False else _WORTH_COMPILING
         # Two libraries, as most runs need the closure first, and the tangent compiles slowly.
-        self._close = CompilableFunctions(
-            ("close", "close_from"), _library_key("close"), six_bars.closing_functions, 1, rows
+        library = partial(CompilableFunctions, shared=1, worth=_WORTH_COMPILING, compile=compile)
+        self._close = library(
+            ("close", "close_from"), _library_key("close"), six_bars.closing_functions
         )
-        self._tangent = CompilableFunctions(
-            ("tangent",), _library_key("tangent"), lambda: [six_bars.tangent_function()], 1, rows
+        self._tangent = library(
+            ("tangent",), _library_key("tangent"), lambda: [six_bars.tangent_function()]
         )
-        if compile:
-            self._close.compile()
-            self._tangent.compile()
         self._check_derivation()
 
     def _check_derivation(self) -> None:

@@ -177,11 +177,12 @@ def frame_table(df: Any, name: str) -> Table:
     names = [str(column) for column in labels]
     _check_distinct(names, name)
     try:
-        columns = [[_frame_cell(value) for value in df[column]] for column in labels]
+        cells = [[str(value).strip() for value in df[column]] for column in labels]
     except TypeError:
         raise FileError(
             "each column must be a list: give a value for each row", file=name
         ) from None
+    columns = [["" if cell in _MISSING else cell for cell in column] for column in cells]
     if len({len(column) for column in columns}) > 1:
         raise FileError("has columns of unequal length: pad them", file=name)
     return _checked_table(names, list(zip(*columns, strict=True)), (), name)
@@ -272,11 +273,6 @@ def _check_distinct(names: Sequence[str], file: str) -> None:
 def _decimal_point(cell: str) -> str:
     pointed = cell.replace(",", ".", 1)
     return pointed if NUMBER.fullmatch(pointed) else cell
-
-
-def _frame_cell(value: Any) -> str:
-    text = str(value).strip()
-    return "" if text in _MISSING else text
 
 
 # Commands --------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from orthoglide.errors import InputError
 from orthoglide.frames import data_frame
 from orthoglide.geometry import LEGS, Array
 from orthoglide.instruments import LegDial
-from orthoglide.layout import LegNames
 from orthoglide.machine_file import AnyMachine, Controller, MachineFile, machine_file_of
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.readings import Readings
@@ -109,7 +108,7 @@ def campaign_rows(
     if campaign.by_point:
         return _point_rows(campaign, machine_file)
     machine = None if machine_file is None else machine_file_of(machine_file)
-    names = _leg_names(campaign.legs, machine)
+    names = campaign.legs if machine is None else machine.geometry.layout.names
     as_layout = machine is None or machine.controller == Controller()
     command = native_command_column(names) if as_layout else TRAVEL
     if commands_as_places and machine is not None and machine.kinematics is not None:
@@ -138,11 +137,6 @@ def campaign_rows(
     commands = _commands_for_file(campaign.moves.command, command, machine)
     moves = _rows_from_columns(_cells_of_column(command, commands, names.legs))
     return _insert_moves(_rows_from_columns(columns), campaign, moves)
-
-
-def _leg_names(names: LegNames, machine: MachineFile | None) -> LegNames:
-    """Return the names of a machine's legs; the given ones without a machine."""
-    return names if machine is None else machine.geometry.layout.names
 
 
 def _columns_to_write(
@@ -217,7 +211,8 @@ def _point_rows(readings: Readings, machine_file: AnyMachine | None) -> list[Row
         InputError: if there are readings of another kind than coordinates of the tool.
     """
     machine = None if machine_file is None else machine_file_of(machine_file)
-    points, names = readings.points(), _leg_names(readings.legs, machine)
+    names = readings.legs if machine is None else machine.geometry.layout.names
+    points = readings.points()
     column = native_command_column(names)
     commands = _commands_for_file(points.command, column, machine)
     columns = _cells_of_column(column, commands, names.legs)

@@ -113,12 +113,10 @@ class Displacements:
 
     @cached_property
     def _compiled(self) -> CompilableFunctions:
-        threshold = -1 if self._compile is False else _COMPILATION_THRESHOLD
         key, build = self.function.serialize(), lambda: [self.function]
-        functions = CompilableFunctions(("displacement",), key, build, 2, threshold)
-        if self._compile:
-            functions.compile()
-        return functions
+        return CompilableFunctions(
+            ("displacement",), key, build, 2, _COMPILATION_THRESHOLD, self._compile
+        )
 
     @cached_property
     def _jacobians(self) -> tuple[RowFunction, RowFunction]:

@@ -163,7 +163,8 @@ class Model:
         vectors = np.zeros((len(conditions), CONDITION_COUNT))
         vectors[:, : FORCE.start] = conditions.table[:, : FORCE.start]
         if conditions.load.any():
-            vectors[:, FORCE] = drive_forces(self.engine, self._travel(conditions), conditions.load)
+            _, tangent = self._without_errors(conditions)
+            vectors[:, FORCE] = joint_forces(tangent, conditions.load)[:, :3]
         return vectors
 
     def displacements(self, values: Values, conditions: Conditions) -> Array:
@@ -181,9 +182,33 @@ class Model:
         )
         by_command = by_conditions[:, :, COMMAND]
         if conditions.load.any():
-            forces = drive_forces_by_command(self.engine, self._travel(conditions), conditions.load)
-            by_command = by_command + by_conditions[:, :, FORCE] @ forces
+            by_command = by_command + by_conditions[:, :, FORCE] @ self._forces_by_command(
+                conditions
+            )
         return np.asarray(tangent[:, :3, :3] + tangent[:, :3, 3:] @ by_command)
+
+    def _without_errors(self, conditions: Conditions) -> tuple[Outputs, Array]:
+        """Return outputs and :meth:`tangent` of the machine without errors."""
+        moves = np.zeros((len(conditions), 3 * VIRTUAL_PER_LEG))
+        return self.engine.tangent(self._travel(conditions), moves)
+
+    def _forces_by_command(self, conditions: Conditions) -> Array:
+        """Return the derivative of the load's forces on the drives by the command ``(n, 3, 3)``,
+        newtons a metre.
+
+        The bars ``b_i`` keep their length: ``b_i . dp/drho_j = b_i . s_i`` for j = i, else 0, along
+        the slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
+        ``d_ij = db_i/drho_j``.
+        """
+        outputs, tangent = self._without_errors(conditions)
+        bars = outputs.lines[:, :, 0, 1] - outputs.lines[:, :, 0, 0]
+        by_command = np.swapaxes(tangent[:, :3, :3], 1, 2)
+        derivative = np.repeat(by_command[:, None], 3, axis=1)  # of the bars (n, i, j, xyz)
+        derivative[:, range(3), range(3)] -= self.engine.mechanism.spheres.slides
+        up = np.linalg.inv(bars)[:, 2]
+        return np.asarray(
+            np.einsum("n,ni,nijx,nikx->njk", conditions.load, up, derivative, derivative)
+        )
 
     def outputs(self, values: Values, conditions: Conditions) -> Outputs:
         """Return poses and bars of closed postures.
@@ -248,30 +273,6 @@ def joint_forces(tangent: Array, load: Array) -> Array:
     displacement: ``tangent`` ``(n, 48, 33)``. On a bar's stretch it is the pull in the bar.
     """
     return np.asarray(-load[:, None] * tangent[:, 2])
-
-
-def drive_forces(engine: Engine, travel: Array, load: Array) -> Array:
-    """Return the force of a load at the TCP on each carriage of a machine without errors ``(n,
-    3)``, newtons.
-    """
-    _, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
-    return joint_forces(tangent, load)[:, :3]
-
-
-def drive_forces_by_command(engine: Engine, travel: Array, load: Array) -> Array:
-    """Return the derivative of :func:`drive_forces` by the command ``(n, 3, 3)``, newtons a metre.
-
-    The bars ``b_i`` keep their length: ``b_i . dp/drho_j = b_i . s_i`` for j = i, else 0, along the
-    slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
-    ``d_ij = db_i/drho_j``.
-    """
-    outputs, tangent = engine.tangent(travel, np.zeros((len(travel), 3 * VIRTUAL_PER_LEG)))
-    bars = outputs.lines[:, :, 0, 1] - outputs.lines[:, :, 0, 0]
-    by_command = tangent[:, :3, :3]
-    bar_derivative = np.repeat(np.swapaxes(by_command, 1, 2)[:, None], 3, axis=1)  # (n, i, j, xyz)
-    bar_derivative[:, range(3), range(3)] -= engine.mechanism.spheres.slides
-    up = np.linalg.inv(bars)[:, 2]
-    return np.asarray(np.einsum("n,ni,nijx,nikx->njk", load, up, bar_derivative, bar_derivative))
 
 
 def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
