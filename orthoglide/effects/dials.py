@@ -82,14 +82,9 @@ def dial_free_forms(
 ) -> tuple[FreeForm, ...]:
     """Return the free-form errors of one setup of a dial: creep, curve and reversal error.
 
-    Args:
-        setup: name of the setup.
-        leg: the leg that the dial touches.
-        time: first and last second; ``None`` where it was not recorded.
-        reading: smallest and largest predicted reading, metres. A curve over the measured readings
-            would fit their noise.
-        turns: whether the plunger moved in both directions.
-        scale: of the machine's size, for which dials are chosen.
+    ``time``: first and last second, if recorded; ``reading``: smallest and largest predicted one,
+    metres, as a curve over the measured readings would fit their noise; ``turns``: whether the
+    plunger moved in both directions.
     """
     candidates: tuple[tuple[Dependence, FreeFunctions, float, Range | None], ...] = (
         ("time", _CREEP, 20 * _UM, time),

@@ -44,14 +44,10 @@ def fitted_readings(
     problem: Problem, nominal: Array, before: Array, after: Array,
     requested: tuple[Readings, ...] = (),
 ) -> ReadingsShown:  # fmt: skip
-    """Return measured and predicted readings, setup by setup.
+    """Return measured and predicted readings ``(n,)``, metres or radians, setup by setup: predicted
+    by the uncalibrated machine, before by the base model, and after the last fit.
 
-    Args:
-        problem: that was solved, with ``n`` readings.
-        nominal: readings predicted by the uncalibrated machine ``(n,)``, metres or radians.
-        before: by the base model.
-        after: by the last fit.
-        requested: readings of the request, of which the problem uses a part; if empty, all.
+    The problem may use a part of the ``requested`` tables; without them it uses all.
     """
     tables = [factor.readings for factor in problem.factors]
     rows = [row_indices(*pair) for pair in zip(tables, requested or tables, strict=True)]

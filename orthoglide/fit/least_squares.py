@@ -318,14 +318,8 @@ def explained_by_two(
     first: Array, second: Array, cross: Array, x: Array, y: Array
 ) -> tuple[Array, Array]:
     """Return the square that two columns with standard normal priors explain of a residual, and the
-    determinant of ``1 + A^T A``, kept at 1 or more where rounding makes it less.
-
-    Args:
-        first: square of the first column, plus 1.
-        second: square of the second column, plus 1.
-        cross: product of the columns.
-        x: product of the first column and the residual.
-        y: product of the second column and the residual.
+    determinant of ``1 + A^T A``, kept at 1 or more where rounding makes it less: from the squares
+    of both columns, plus 1, their product, and the products ``x``, ``y`` of each and the residual.
     """
     spread = np.maximum(first * second - cross**2, 1.0)
     return (x**2 * second + y**2 * first - 2 * x * y * cross) / spread, spread

@@ -48,12 +48,8 @@ _MIN_READINGS = 8  # different readings, each of which is on the grid with proba
 
 
 def check_plausible(tables: Sequence[Readings], machine: Machine, frame: Frame = "rigid") -> None:
-    """Refuse readings in another unit or another frame than declared.
-
-    Args:
-        tables: tables, each of legs or of the tool.
-        machine: near which they were taken.
-        frame: how a tracker's may differ from the machine's.
+    """Refuse readings in another unit or another frame than declared: tables of legs or of the
+    tool, taken near a machine, in a tracker's frame that may differ from the machine's.
 
     Raises:
         InputError: naming the file, the setup, what the readings seem to be and what to do.

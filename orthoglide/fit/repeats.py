@@ -134,10 +134,6 @@ def total_variance(within: ArrayLike, resolution: float) -> Array:
     Repeats do not show the rounding that they share: with a scatter s before it, one reading
     has ``s^2 + step^2 / 12``, of which repeats show ``s^2 + step^2 / 12 - common(s)^2``. A dial
     that scatters by much less than its step shows hardly any variance at all.
-
-    Args:
-        within: from repeats, see :func:`repeat_variance`.
-        resolution: step of the dial, metres.
     """
     if resolution <= 0:
         return np.asarray(within, dtype=float)
@@ -224,18 +220,13 @@ def _polynomials(xy: Array, degree: int) -> Array:
 
 
 def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
-    """Return the standard deviation of heights about a smooth surface, and the heights of outliers
-    above it ``(n,)``, metres; 0 of all others, and with too few heights.
+    """Return the standard deviation of heights ``(n,)`` about a smooth surface, and the heights of
+    outliers above it ``(n,)``, metres; 0 of all others, and with too few heights.
 
-    A bed is rough besides being bent: deviations from a polynomial of the fourth degree count as
-    noise of touches, as no rigid cause is less smooth. With lost motion the surface depends on the
-    approach, by a smoother term. An outlier is a speck or a bad touch, or a patch of neighbours
-    that are off alike, as on a clip.
-
-    Args:
-        xy: on the plate over its radius ``(n, 2)``.
-        height: ``(n,)``, metres.
-        approach: of each axis ``(n, 3)``.
+    A bed is rough besides being bent: deviations from a polynomial of the fourth degree, in the
+    places over the plate's radius ``(n, 2)``, count as noise of touches, as no rigid cause is less
+    smooth. With lost motion the surface depends on the approach ``(n, 3)``, by a smoother term. An
+    outlier is a speck or a bad touch, or a patch of neighbours that are off alike, as on a clip.
     """
     smoother = _polynomials(xy, _APPROACH_DEGREE)
     by_side = [side[:, None] * smoother for side in approach.T]

@@ -297,12 +297,8 @@ class Observation(ABC):
         self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
         """Return a sentence on the unit or frame in which a setup's readings seem to be given by
-        mistake; empty where they are plausible.
-
-        Args:
-            readings: the readings, and the points where the expected machine takes them.
-            distance: expected distance to the point of the second command ``(m,)``, metres.
-            priors: of the poses of instruments.
+        mistake; empty where they are plausible. ``distance``: that which the expected machine has
+        to the point of the second command ``(m,)``, metres.
         """
         return ""
 

@@ -225,15 +225,11 @@ class RowFunction:
 
 
 class CompilableFunctions:
-    """Functions of rows, interpreted until compiling them is worthwhile.
+    """Functions of rows, interpreted until ``worth`` rows make compiling worthwhile, compiled at
+    once or never.
 
-    Args:
-        names: of the functions.
-        key: identifies compiled libraries; see :func:`~orthoglide.mechanism.compiled.compiled`.
-        build: returns the CasADi functions.
-        shared: number of leading arguments of each function that are common to all rows.
-        worth: number of rows after which the functions are compiled.
-        compile: ``True`` to compile at once, ``False`` never.
+    ``key`` identifies compiled libraries, see `compiled`; ``build`` returns the CasADi functions,
+    of whose leading arguments ``shared`` are common to all rows.
     """
 
     def __init__(

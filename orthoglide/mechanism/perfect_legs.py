@@ -48,20 +48,12 @@ class Spheres:
 
 
 def free_joints(tree: Tree, spheres: Spheres, travel: Array, p: Array) -> Array:
-    """Return the free joints of legs without errors that hold the platform unturned at ``p``.
+    """Return the free joints ``(N, n)``, in the order of ``tree.free``, of legs without errors that
+    hold the platform unturned at ``p`` ``(N, 3)`` with carriages at ``travel`` ``(N, 3)``, metres.
 
     With the leg's span ``w`` from carriage to platform in its axes (a, b, c), the bars lie along
-    ``L (-cos theta cos phi, -sin theta cos phi, sin phi)``.
-
-    Args:
-        tree: nominal or general; relief joints start at zero.
-        spheres: of the same machine.
-        travel: of the carriages from mechanical zero, ``(N, 3)``, metres.
-        p: TCP ``(N, 3)``, metres.
-
-    Returns:
-        Free joints ``(N, n)`` in the order of ``tree.free``. The angles of a leg out of reach are
-        clipped; the closure then fails and reports the misfit.
+    ``L (-cos theta cos phi, -sin theta cos phi, sin phi)``; relief joints start at zero. The angles
+    of a leg out of reach are clipped; the closure then fails and reports the misfit.
     """
     spans = p[:, None] - spheres.centres_at(travel)
     passive = [_passive_angles(tree, spheres.lengths[leg], leg, spans[:, leg]) for leg in range(3)]

@@ -60,18 +60,11 @@ def stroke_overshoot(stroke: tuple[float, float]) -> float:
 def derive_approach(
     command: ArrayLike, order: ArrayLike, moves: Moves | None = None, min_move: float = MIN_MOVE
 ) -> Array:
-    """Return the direction of each axis' last move, from the sequence of commands.
+    """Return the direction of each axis' last move, +1 or -1 ``(n, 3)``, from commands ``(n, 3)``,
+    metres, their positions in the sequence ``(n,)``, equal ones being one visit, and the moves
+    between them.
 
     An axis keeps its direction until it moves again; before its first move it has the direction +1.
-
-    Args:
-        command: commands of the readings ``(n, 3)``, metres.
-        order: position in the sequence ``(n,)``; equal positions are one visit.
-        moves: commands between the readings.
-        min_move: smallest move of an axis that counts, metres.
-
-    Returns:
-        +1 or -1, shape ``(n, 3)``.
     """
     moves = moves or Moves()
     all_commands, _, sequence = _with_moves(command, order, moves)
@@ -90,19 +83,11 @@ def derive_approach(
 def built_up_lost_motion(
     command: ArrayLike, order: ArrayLike, lengths: Sequence[float], moves: Moves | None = None
 ) -> Array:
-    """Return the lost motion of each drive as a fraction of its backlash.
+    """Return the lost motion of each drive as a fraction of its backlash, between -1/2 and 1/2
+    ``(K, n, 3)``; arguments as of `derive_approach`, and lengths ``(K,)``, metres.
 
     After a reversal it approaches +-1/2, the sign of the approach, exponentially over each length
-    (Dahl 1968, *A solid friction model*).
-
-    Args:
-        command: commands of the readings ``(n, 3)``, metres.
-        order: position in the sequence ``(n,)``; equal positions are one visit.
-        lengths: over which it builds up ``(K,)``, metres.
-        moves: commands between the readings.
-
-    Returns:
-        Between -1/2 and 1/2, shape ``(K, n, 3)``; half the approach at the first row.
+    (Dahl 1968, *A solid friction model*). At the first row it is half the approach.
     """
     moves = moves or Moves()
     all_commands, positions, sequence = _with_moves(command, order, moves)

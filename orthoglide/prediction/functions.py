@@ -87,13 +87,9 @@ class Displacements:
         return ca.Function("displacement", [sizes, theta, vector], [ca.densify(displacements)])
 
     def leg_conditions(self, sizes: Any, vector: Any, leg: int, drive_error: Any) -> LegConditions:
-        """Return the conditions on which the effects of one leg depend.
-
-        Args:
-            sizes: dimensions ``(5,)``, numbers or symbols.
-            vector: conditions ``(11,)``, or ``(11, n)``.
-            leg: 0, 1 or 2.
-            drive_error: travel beyond the commanded one; ``None`` for the effects of drives.
+        """Return the conditions on which the effects of one leg depend, from dimensions ``(5,)``
+        and conditions ``(11,)`` or ``(11, n)``, numbers or symbols. ``drive_error``: travel beyond
+        the commanded one; ``None`` for the effects of drives.
         """
         length, low, high, zero, pitch = (sizes[k] for k in range(DIMENSION_COUNT))
         command = vector[leg]

@@ -200,15 +200,10 @@ class MeasurementModel:
         merged: tuple[Conditions, NDArray[np.intp]],
         names: Sequence[str] | None,
     ) -> _Derivatives:
-        """Return the readings and their derivatives, computed in blocks of rows.
+        """Return the readings and their derivatives by parameters of the machine, or without names
+        by the virtual joints, computed in blocks of rows.
 
         The derivative of a reading is multiplied by that of its posture first, one row by a matrix.
-
-        Args:
-            model: of the machine.
-            values: all parameters that are not zero, SI.
-            merged: as :meth:`postures` returns it.
-            names: of the machine's parameters to differentiate by; ``None``: by the virtual joints.
         """
         (conditions, postures), kinds = merged, list(self.by_kind(model, values))
         count = JOINT_COUNT if names is None else len(names)
