@@ -390,13 +390,13 @@ def test_closure_engine_and_programme_follow_the_file(edit: Edit, tmp_path: Path
     assert isinstance(machine.model.engine, SixBars)
     assert isinstance(machine.by_pinocchio().model.engine, PinocchioEngine)
     tree = machine.model.mechanism.tree
-    functions = closure_functions(tree)
+    residual, by_programme = closure_functions(tree)
     for command, place in zip(RHO[:5], p, strict=False):
         posture = machine.close(command)
         assert np.abs(posture.p - place).max() < 1e-12
         known = np.concatenate([command - NOMINAL.L, np.zeros(30)])
-        assert np.abs(functions.residual(posture.q[tree.free], known).full()).max() < 1e-12
-        shown = functions.outputs(posture.q[tree.free], known).full()[:3, 0]
+        assert np.abs(residual(posture.q[tree.free], known).full()).max() < 1e-12
+        shown = by_programme(posture.q[tree.free], known).full()[:3, 0]
         assert np.abs(shown - place).max() < 1e-12
     assert np.abs(machine.inverse(p) - RHO).max() < 1e-12
 

@@ -104,7 +104,7 @@ def _closed_joints(problem: Problem, postures: Postures, x: Array) -> Array:
 def _symbolic_model(problem: Problem, postures: Postures, x: Any, joints: Any) -> tuple[Any, Any]:
     """Return closures of all postures, and predicted rows of all factors, as MX."""
     model = problem.machine.model
-    functions = closure_functions(model.mechanism.tree)
+    residual, posture_outputs = closure_functions(model.mechanism.tree)
     map_, sizes = model.displacement_model.function.map, model.displacement_model.dimensions
     closures, rows, first = [], [], 0
     for k, (conditions, posture) in enumerate(postures):
@@ -115,8 +115,8 @@ def _symbolic_model(problem: Problem, postures: Postures, x: Any, joints: Any) -
         travel = ca.DM((conditions.command - model.geometry.zero).T)
         given = ca.vertcat(travel, displacement(ca.DM(sizes), theta, vectors))
         own_joints = joints[:, first : first + count]
-        closures.append(functions.residual.map(count)(own_joints, given))
-        outputs = ca.vec(functions.outputs.map(count)(own_joints, given))
+        closures.append(residual.map(count)(own_joints, given))
+        outputs = ca.vec(posture_outputs.map(count)(own_joints, given))
         rows.append(_rows(model, problem.factors[k], outputs, posture, values))
         first += count
     return ca.horzcat(*closures), ca.vertcat(*rows)

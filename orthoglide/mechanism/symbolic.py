@@ -8,7 +8,7 @@ and Park 2017, chapter 4). Expressions are SX: cheap to evaluate, to differentia
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -144,17 +144,11 @@ def rotation_error(R: Any) -> Any:
     return 0.5 * ca.vertcat(R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1])
 
 
-class ClosureFunctions(NamedTuple):
-    """The closures of a tree as CasADi functions of the free joints and of [travel; displacements],
-    for the nonlinear programme. They do not use the six bars.
+def closure_functions(tree: Tree) -> tuple[Any, Any]:
+    """Return the closure residual ``(21,)``, metres and sines, and the outputs ``(48,)``, as in
+    `six_bars`, of a general tree as CasADi functions of its free joints and of [travel;
+    displacements], for the nonlinear programme. They do not use the six bars.
     """
-
-    residual: Any  # closure residual (21,), metres and sines
-    outputs: Any  # (48,), as in `six_bars`
-
-
-def closure_functions(tree: Tree) -> ClosureFunctions:
-    """Return the functions of a general tree."""
     x, given = ca.SX.sym("x", len(tree.free)), ca.SX.sym("given", 3 + len(tree.virtual))
     q = ca.SX.zeros(tree.model.nq)
     for k, place in enumerate(tree.free):
@@ -167,7 +161,7 @@ def closure_functions(tree: Tree) -> ClosureFunctions:
         between = walked.relative(loop.frame_1, loop.frame_2)
         parts += [between.t, rotation_error(between.R)] if loop.kind == "frame" else [between.t]
     arguments, names = [x, given], ["free", "given"]
-    return ClosureFunctions(
+    return (
         ca.Function("residual", arguments, [ca.vertcat(*parts)], names, ["residual"]),
         ca.Function("outputs", arguments, [_outputs(walked, tree)], names, ["outputs"]),
     )

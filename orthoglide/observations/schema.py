@@ -174,11 +174,6 @@ def _has_unit(unit: str) -> Callable[[Observation], bool]:
     return lambda observation: observation.unit == unit
 
 
-def _in_file_unit(unit: Unit, *values: float) -> list[float]:
-    """Return values in SI as files show them."""
-    return [float(units.from_si(value, unit.si)) for value in values]
-
-
 # fmt: off
 KIND = Column("kind", word_kind({kind: kind for kind in (LegDial.kind, MOVE, *OBSERVATIONS)}),
     f"Kind of the reading. In a row of kind `{MOVE}` the machine goes there and nothing is read.",
@@ -231,7 +226,9 @@ READINGS = {
 }
 SIGMAS = {
     unit.name: Column(f"sigma_{unit.name}",
-        number_kind(unit, *_in_file_unit(unit, NOISE_LIMITS[0], max_sigma)),
+        number_kind(
+            unit, *(float(units.from_si(v, unit.si)) for v in (NOISE_LIMITS[0], max_sigma))
+        ),
         "Standard deviation of this reading.", "sigma", NAN, _has_unit(unit.name))
     for unit, max_sigma in ((MM, NOISE_LIMITS[1]), (_MRAD, MAX_ROTATION_SD))
 }
