@@ -131,17 +131,13 @@ def add_engine(add: Callable[..., None], engine: SixBars, how: str) -> None:
     """The closure object alone, and its sensitivities."""
     travel = commands(4000) - GEOMETRY.L
     moves = 1e-3 * np.random.default_rng(1).standard_normal((len(travel), 30))
-    single, each = (
-        engine._close.rows("close").single,
-        list(zip(travel[:500], moves[:500], strict=True)),
-    )
-    single.arguments[0][:] = engine.constants
+    (constants, own_travel, own_moves), _, evaluate, _ = engine._close.rows("close").single
+    constants[:], each = engine.constants, list(zip(travel[:500], moves[:500], strict=True))
 
     def bare() -> None:
-        _, own_travel, own_moves = single.arguments
         for one, displacements in each:
             own_travel[:], own_moves[:] = one, displacements
-            single.evaluate()
+            evaluate()
 
     add(f"closure object, one posture, {how}", len(each), bare)
     add(f"closure and all sensitivities, batch, {how}", len(travel),

@@ -140,28 +140,6 @@ def blocks(row_count: int, size: int = _ROWS_PER_CALL) -> Iterator[slice]:
         yield slice(start, min(start + size, row_count))
 
 
-class InPlaceFunction:
-    """A CasADi function evaluated in place: write ``arguments``, evaluate, read ``results``.
-
-    Args:
-        function: its results are dense.
-
-    Attributes:
-        arguments: one array an argument, column by column.
-        results: one array a result, column by column.
-        evaluate: computes the results.
-    """
-
-    def __init__(self, function: Any) -> None:
-        self.arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
-        self.results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-        self._buffer, self.evaluate = function.buffer()
-        for k, array in enumerate(self.arguments):
-            self._buffer.set_arg(k, memoryview(array))  # type: ignore[arg-type]
-        for k, array in enumerate(self.results):
-            self._buffer.set_res(k, memoryview(array))  # type: ignore[arg-type]
-
-
 class RowFunction:
     """A CasADi function of vectors, evaluated for rows of them; a lock guards its buffers.
 
@@ -203,19 +181,27 @@ class RowFunction:
 
     def _evaluate_row(self, *arguments: Array) -> list[Array]:
         """Return the results of one row, copying arguments to the buffers of the function."""
-        single = self.single
-        for array, value in zip(single.arguments, arguments, strict=True):
+        given, results, evaluate, _ = self.single
+        for array, value in zip(given, arguments, strict=True):
             array[:] = value if value.ndim == 1 else value[0]
-        single.evaluate()
+        evaluate()
         return [
             r[None].copy() if columns == 1 else r.reshape(1, columns, rows).swapaxes(1, 2).copy()
-            for r, (columns, rows) in zip(single.results, self._shapes, strict=True)
+            for r, (columns, rows) in zip(results, self._shapes, strict=True)
         ]
 
     @cached_property
-    def single(self) -> InPlaceFunction:
-        """The function for one row, evaluated in place."""
-        return InPlaceFunction(self.function)
+    def single(self) -> tuple[list[Array], list[Array], Callable[[], None], Any]:
+        """Arguments to be written, results to be read, the evaluation between, and its buffer."""
+        function = self.function
+        arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+        results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
+        buffer, evaluate = function.buffer()
+        for k, array in enumerate(arguments):
+            buffer.set_arg(k, memoryview(array))  # type: ignore[arg-type]
+        for k, array in enumerate(results):
+            buffer.set_res(k, memoryview(array))  # type: ignore[arg-type]
+        return arguments, results, evaluate, buffer
 
     def _buffer(self, size: int) -> tuple[Any, Any]:
         if size not in self._buffers:
