@@ -12,10 +12,10 @@ import pytest
 import orthoglide as og
 from orthoglide.closing.actions import actions
 from orthoglide.errors import InputError
-from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2, SLAB_ODDS, SLAB_WIDTHS
+from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2
 from orthoglide.explanation.data_faults import find_data_faults
 from orthoglide.explanation.identifying import identify
-from orthoglide.explanation.linear_model import LinearModel, UnknownNoise, identity_group
+from orthoglide.explanation.linear_model import SLAB_SCALES, LinearModel, identity_group
 from orthoglide.explanation.mixture import Mixture
 from orthoglide.geometry import Array
 from tests.factors import campaign_of
@@ -40,8 +40,8 @@ COST = 3.0
 
 
 def searched(columns: Array, residual: Array) -> Mixture:
-    """The search over changes with these columns, the size of the noise unknown."""
-    count, chi2 = columns.shape[1], float(residual @ residual)
+    """The search over changes with these columns."""
+    count = columns.shape[1]
     groups = tuple(
         replace(identity_group(f"change.{k}", [k], free_form=False), expected=float(np.exp(-COST)))
         for k in range(count)
@@ -50,23 +50,17 @@ def searched(columns: Array, residual: Array) -> Mixture:
     return Mixture(
         LinearModel(
             columns, residual, np.zeros(count), none, none, groups, np.zeros((len(residual), 0)),
-            (1.0,), SLAB_WIDTHS, slab_log_odds=SLAB_ODDS, max_active=12,
-            unknown_noise=UnknownNoise(chi2, float(len(residual))),
+            (1.0,), max_active=12,
         )
     )  # fmt: skip
 
 
 def weight(columns: Array, residual: Array, places: list[int], widths: Array) -> float:
-    """Log odds of a set against none by its definition: noise of one, or as much as is left."""
+    """Log odds of a set against none by its definition."""
     spread = np.eye(ROWS) + (columns[:, places] * widths**2) @ columns[:, places].T
-
-    def of(chi2: float) -> float:
-        share = chi2 / ROWS
-        return -ROWS / 2 * (share if share < 1 else 1 + float(np.log(share)))
-
-    fit = of(float(residual @ np.linalg.solve(spread, residual))) - of(float(residual @ residual))
-    prior = np.log(1 / widths / np.sum(1 / np.array(SLAB_WIDTHS))).sum() - COST * len(places)
-    return fit - float(np.linalg.slogdet(spread)[1]) / 2 + float(prior)
+    fit = float(residual @ residual - residual @ np.linalg.solve(spread, residual)) / 2
+    prior = -(COST + float(np.log(len(SLAB_SCALES)))) * len(places)
+    return fit - float(np.linalg.slogdet(spread)[1]) / 2 + prior
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -83,7 +77,7 @@ def test_no_set_weighs_more_than_the_one_found(seed: int) -> None:
         weight(columns, residual, list(places), np.array(widths))
         for count in range(4)
         for places in combinations(range(COUNT), count)
-        for widths in product(SLAB_WIDTHS, repeat=count)
+        for widths in product(SLAB_SCALES, repeat=count)
     )
     most, weighed = max(every), found.log_weight(found.best) - found.log_weight(())
     assert weighed >= most - 1e-6

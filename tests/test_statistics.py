@@ -10,9 +10,9 @@ from scipy import stats
 
 import orthoglide as og
 from orthoglide.accuracy import TcpMap, without_translation
-from orthoglide.explanation.signatures import _draw_noise, noise_residuals, signatures
-from orthoglide.fit import Estimate
-from orthoglide.fit.least_squares import normal_equations
+from orthoglide.explanation.candidates import BACKGROUND, signatures
+from orthoglide.fit import Estimate, with_effects_freed
+from orthoglide.fit.least_squares import linearise, normal_equations
 from orthoglide.fit.repeats import repeat_variance
 from orthoglide.fit.scores import chi2_p_value, deviation_rms
 from orthoglide.fit.unknowns import build_unknowns
@@ -77,13 +77,20 @@ def test_degrees_of_freedom_of_successive_differences() -> None:
     assert 0.75 < dof / (2 / values.var()) < 1.1
 
 
-@pytest.mark.parametrize("resolution", [0.0, 1e-5])
-def test_drawn_noise_is_as_large_as_the_noise_of_a_reading(resolution: float) -> None:
-    found = fitted(noise=None, resolution=resolution, repeatability=NOISE, placement=0.0)
-    drawn = _draw_noise(signatures(found), np.random.default_rng(0), 2000)
-    total = np.sqrt(NOISE**2 + resolution**2 / 12)
-    assert np.std(drawn) == pytest.approx(total, rel=0.02)
-    assert found.problem.noise.typical == pytest.approx(total)
+def test_signatures_are_weighted_by_the_covariance_of_a_sound_machine() -> None:
+    """Noise, datums, placements, the base by its priors and the background, written out."""
+    found = fitted(noise=None, resolution=1e-5, repeatability=NOISE)
+    model, count = signatures(found), len(found.names)
+    problem = with_effects_freed(found.problem, {n.effect for n in model.names})
+    jacobian = linearise(problem, problem.zero_padded(found.x)).jacobian
+    effects = jacobian[:, [problem.names.index(name) for name in model.names]]
+    base = jacobian[:, :count] * problem.tolerance[:count]
+    background = effects * BACKGROUND * model.tolerance
+    full = covariance(found) + base @ base.T + background @ background.T
+    weighted = model.weighted_by_background.columns * model.tolerance
+    expected = effects.T @ np.linalg.solve(full, effects) * model.tolerance
+    expected *= model.tolerance[:, None]
+    assert weighted.T @ weighted == pytest.approx(expected, rel=1e-3, abs=1e-3 * expected.max())
 
 
 @pytest.mark.parametrize("level", [0.05, 0.2])
@@ -92,9 +99,8 @@ def test_what_is_to_be_detected_stands_above_noise_as_often_as_stated(level: flo
     made, sheet = machine(repeatability=NOISE), protocol("standard")
     told = smallest_effects(made, sheet, level=level)
     seen = signatures(fitted(repeatability=NOISE))
-    drawn = noise_residuals(seen, np.random.default_rng(7), 2000)
-    seen = replace(seen, columns=seen.weighted_by_background(seen.columns))
-    best = seen.evidences(drawn).max(axis=0)
+    drawn = np.random.default_rng(7).standard_normal((len(seen.columns), 2000))
+    best = seen.weighted_by_background.evidences(drawn).max(axis=0)
     assert np.mean(best > told.threshold) == pytest.approx(level, abs=0.018)
 
 

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 import orthoglide as og
 from benchmarks import delta_truth
 from benchmarks.delta_readings import measured
+from orthoglide.explanation.base_fit import fit_nested
 from orthoglide.explanation.data_faults import _merge_faults, without_faults
 from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.full_posterior import posterior_at_base_fit
-from orthoglide.explanation.ranked_readings import fit_nested
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Instrument
 from orthoglide.observations import Readings

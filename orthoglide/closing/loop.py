@@ -19,7 +19,7 @@ from orthoglide.explanation import (
 )
 from orthoglide.explanation.assumed_noise import with_refuted_noise_enlarged
 from orthoglide.explanation.change import Change
-from orthoglide.explanation.change_search import SLAB_WIDTHS, with_changes_separate
+from orthoglide.explanation.change_search import with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.data_faults import (
     DataFindings,
@@ -29,6 +29,7 @@ from orthoglide.explanation.data_faults import (
 )
 from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
+from orthoglide.explanation.linear_model import SLAB_SCALES
 from orthoglide.explanation.ranked_readings import check_drive_order
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
@@ -174,7 +175,7 @@ def _exceeds_readjustment(change: Change, machine: Machine) -> bool:
     """Return whether a structural parameter changed by more than the widest prior of a change, ten
     tolerances, which no readjustment explains.
     """
-    widest = SLAB_WIDTHS[-1] * machine.tolerance(change.parameter)
+    widest = SLAB_SCALES[-1] * machine.tolerance(change.parameter)
     structural = change.parameter.effect not in machine.catalogue.base
     return structural and abs(change.after - change.before) > widest
 

@@ -8,7 +8,8 @@ same verdicts, causes and data faults, with probabilities within 0.02, for 9 or 
 of machines with one to three causes, a free-form error in half of them and a slip in a quarter.
 
 Columns of the linear model
-    candidates            causes of the catalogue, and which groups of coefficients may be active
+    candidates            causes of the catalogue, which groups of coefficients may be active, and
+                          signatures of single candidates, for planning
     free_form             free-form errors at a joint or of a plate
     dial_curves           free-form errors of a dial
     faults                data faults as hypotheses, and their messages
@@ -29,11 +30,10 @@ Search and posterior
     alternatives          alternatives to each active group
 
 Data faults and changes
-    assumed_noise         the noise that is assumed, tested by repeats
-    alternative_readings  signs, units, labels, shifts: other data that the readings may be
+    assumed_noise         the noise that is assumed, tested by repeats; smaller noise where likelier
+    alternative_readings  signs, units, labels, shifts, whole turns: other data that the readings
+                          may be
     full_likelihood       their likelihood over wide backgrounds
-    overstated_noise      smaller noise than assumed, where it is likelier
-    hand_turns            whole turns of a dial's hand, which depend on a fit
     ranked_readings       the likeliest of all these; the check of levels
     credible_faults       which data faults are certain, and which may be a cause
     change, change_search, recalibration
@@ -41,14 +41,12 @@ Data faults and changes
     data_faults           the loop that finds, corrects and reports faults and changes
 
 Results
-    causes                what is read from the posterior, curves of free-form errors, and base
-                          parameters far beyond their tolerances
+    causes                what is read from the posterior, curves of free-form errors, members of a
+                          class, and base parameters far beyond their tolerances
     credible_sets         credible sets from the posterior
-    class_members         members of a class that the readings cannot tell apart
     lack_of_fit           tests of the lack of fit, and the residual by setup
     budget                what each cause contributes to readings and tool
     identifying           `identify`, `--free` and `--own`
-    signatures            columns and evidence of single candidates, for planning
 """
 
 from orthoglide.explanation.budget import BudgetItem as BudgetItem, budget as budget

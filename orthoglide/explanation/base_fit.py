@@ -9,14 +9,20 @@ from dataclasses import replace
 from orthoglide.errors import ClosureError, NumericsError, SolverError
 from orthoglide.explanation.corrections import with_faults_accounted_for
 from orthoglide.explanation.mixture import Mixture
-from orthoglide.fit import Estimate
+from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.notes import tolerance_notes
 from orthoglide.fit.solving import solve
+from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending
 
 _MOST_EXCLUDED = 12
 """Readings that are left out in turn, the likeliest slips first: among more readings than these,
 one slip drives a fit less far off."""
+
+
+def fit_nested(problem: Problem, start: Array | None = None) -> Estimate:
+    """Return the fit of readings in doubt, with priors as they stand; ``start``: ``(P,)``, SI."""
+    return solve(problem, method="nested", start=start, widen=False)
 
 
 def fits_without_a_slip(before: Estimate, mixture: Mixture) -> list[Estimate]:
@@ -32,7 +38,7 @@ def fits_without_a_slip(before: Estimate, mixture: Mixture) -> list[Estimate]:
     for fault in [fault for fault in faults if fault.excluded][:_MOST_EXCLUDED]:
         with suppress(NumericsError):
             problem = with_faults_accounted_for(before.problem, [fault])
-            fits.append(solve(problem, method="nested", widen=False))
+            fits.append(fit_nested(problem))
     best = [best_of(fits, lambda fit: -fit.scores.chi2, LOG_ODDS_MARGIN)] if fits else []
     return [replace(before, x=fit.x) for fit in best]
 

@@ -1,10 +1,17 @@
-"""Candidate causes, and the groups of coefficients that may be active, with their priors."""
+"""Candidate causes, the groups of coefficients that may be active, and signatures for planning.
+
+With a candidate's signature S at its tolerance (whitened, projected) and the residual r, the
+Gaussian prior of the tolerance gives the candidate's gain and evidence:
+
+    gain     = r^T S (S^T S + 1)^-1 S^T r              (reduction of chi2, prior included)
+    evidence = (gain - log det(S^T S + 1)) / 2         (log Bayes factor against no effect)
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,9 +19,17 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.free_form import FreeForm
-from orthoglide.explanation.linear_model import FREE_FORM_PRIOR, Group, identity_group
-from orthoglide.fit import Problem
+from orthoglide.explanation.linear_model import (
+    FREE_FORM_PRIOR,
+    Group,
+    identity_group,
+    left_singular,
+    shrink_along,
+)
+from orthoglide.explanation.search import explained_by_group
+from orthoglide.fit import Estimate, Problem, with_effects_freed
 from orthoglide.fit.assembling import excited_effects
+from orthoglide.fit.least_squares import fitted_basis, linearise, whiten_and_project
 from orthoglide.fit.unknowns import weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.parameters import Parameter
@@ -219,3 +234,85 @@ def _cause_group(cause: Candidate, rows: Array, unit: float) -> Group:
     """Return a cause as a group, from the weights of all coefficients ``(C, size)``."""
     moved, prior = np.flatnonzero(rows.any(axis=1)), cause.relative_prior
     return Group(cause.name, moved, rows[moved], False, prior, unit, source=cause)
+
+
+BACKGROUND = 0.02
+"""Size of every effect on a sound machine, in tolerances."""
+
+_LEAST_VISIBLE = 0.3  # sigmas over all readings: least visible signature of one tolerance
+
+
+@dataclass(frozen=True)
+class Signatures:
+    """Signatures of all effects in the readings.
+
+    All vectors are whitened by the noise. Datums, placements and all parameters of the fit, with
+    their priors, are projected out. Rows are the augmented readings ``(m,)``.
+    """
+
+    names: tuple[str, ...]  # elementary unknowns beyond the fit (E,)
+    tolerance: Array  # of these (E,), SI
+    columns: Array  # signatures (m, E), per SI unit
+    candidates: tuple[Candidate, ...]  # all that are made of these unknowns
+    invisible: tuple[Parameter, ...]  # unknowns that these readings cannot show
+
+    @property
+    def weighted_by_background(self) -> Signatures:
+        """The signatures whitened by the noise and ``BACKGROUND`` tolerances of every effect
+        together, whose covariance is ``1 + U diag(s^2) U^T``: the readings of a sound machine are
+        then of standard normal distribution.
+        """
+        left, singular = left_singular(self.columns * (BACKGROUND * self.tolerance))
+        weighted = shrink_along(self.columns, left, 1 - 1 / np.sqrt(1 + singular**2))
+        return replace(self, columns=weighted)
+
+    def signature(self, candidate: Candidate) -> Array:
+        """Return the signature of a candidate at its tolerance ``(m, size)``."""
+        return self.columns @ self.weights_at_tolerance(candidate)
+
+    def weights_at_tolerance(self, candidate: Candidate) -> Array:
+        """Return elementary unknowns for one tolerance of each parameter of a candidate ``(E,
+        size)``.
+        """
+        matrix = weight_matrix(self.names, candidate.weights)
+        size = np.array([self.tolerance[np.flatnonzero(column)].max() for column in matrix.T])
+        return np.asarray(matrix * size)
+
+    def evidences(self, residuals: Array) -> Array:
+        """Return the log Bayes factor of each candidate against no effect ``(C, k)``, for residuals
+        ``(m, k)``.
+        """
+        evidences, chi2 = [], np.sum(residuals**2, axis=0)
+        for candidate in self.candidates:
+            columns = self.signature(candidate)
+            gram, products = columns.T @ columns, residuals.T @ columns
+            explained, occam = explained_by_group(gram, products, chi2, tau=1.0)
+            evidences.append(explained / 2 - occam)
+        return np.stack(evidences)
+
+
+def signatures(estimate: Estimate) -> Signatures:
+    """Linearise all effects of the catalogue at a fit, with its unknowns and nuisances projected
+    out.
+
+    There are none if all effects are free already, as after a calibration.
+    """
+    problem, nuisance = estimate.problem, estimate.nuisance
+    effects = excited_effects(problem)
+    full_problem = with_effects_freed(problem, [e.name for e in effects])
+    base_count = len(problem.unknowns)
+    at = linearise(full_problem, full_problem.zero_padded(estimate.x))
+    basis = fitted_basis(problem, nuisance, estimate.at)
+    columns = whiten_and_project(nuisance.weighing, basis, at.jacobian[:, base_count:])
+    tolerance = np.array([u.tolerance for u in full_problem.unknowns[base_count:]])
+    names = tuple(u.name for u in full_problem.unknowns[base_count:])
+    visible_mask = np.linalg.norm(columns, axis=0) * tolerance > _LEAST_VISIBLE
+    kept = np.flatnonzero(visible_mask)
+    visible = tuple(names[k] for k in kept)
+    return Signatures(
+        visible,
+        tolerance[kept],
+        columns[:, kept],
+        candidates(visible, effects, problem.machine.catalogue),
+        tuple(n for n, is_visible in zip(names, visible_mask, strict=True) if not is_visible),
+    )

@@ -18,10 +18,10 @@ import numpy as np
 from orthoglide.effects import Catalogue
 from orthoglide.errors import NumericsError
 from orthoglide.explanation.change import Change
+from orthoglide.explanation.compression import MergedRows, WhitenedReadings
 from orthoglide.explanation.linear_model import (
     TWENTY_TO_ONE,
     LinearModel,
-    UnknownNoise,
     drop_unseen_directions,
     identity_group,
 )
@@ -41,14 +41,6 @@ _ROUNDS = 5
 _EXPECTED_CHANGES = float(np.exp(-TWENTY_TO_ONE))
 """Prior mean number of changes of each zero, and of all other parameters together: between two
 visits, one in twenty changes."""
-
-SLAB_WIDTHS = (1.0, 3.0, 10.0)
-"""Prior widths of a change, in tolerances, each with a probability inversely proportional to it."""
-
-SLAB_ODDS = tuple(
-    np.log(len(SLAB_WIDTHS) / np.array(SLAB_WIDTHS) / np.sum(1 / np.array(SLAB_WIDTHS))).tolist()
-)
-"""Log prior odds of each width, relative to equal probabilities."""
 
 _MOST_CHANGES = 12
 """Largest number of changes between two visits: of three zeros and three lengths, as after new bars
@@ -94,7 +86,7 @@ def possible_changes(
 
 
 def most_probable_changes(
-    problem: Problem, x: Array, possible: Sequence[Unknown], floor: float = 1.0
+    problem: Problem, x: Array, possible: Sequence[Unknown]
 ) -> tuple[Change, ...]:
     """Return the most probable set of changes, the most decisive first; empty if there is none.
 
@@ -102,14 +94,13 @@ def most_probable_changes(
         problem: the machine before and whatever stays, with its prior.
         x: first point of linearisation ``(P,)``.
         possible: changes that are considered.
-        floor: least chi2 per degree of freedom.
 
     Raises:
         NumericsError: if the machine with these changes cannot be closed.
     """
     active, sizes, count = frozenset[int](), np.zeros(len(possible)), len(x)
     for _ in range(_ROUNDS):
-        linear, prior_mean, prior_root = _linear_model(problem, x, possible, sizes, floor)
+        linear, prior_mean, prior_root = _linear_model(problem, x, possible, sizes)
         mixture = Mixture(linear)
         previous, active = active, frozenset(group for group, _ in mixture.best)
         if not active or active == previous:
@@ -151,7 +142,7 @@ def _change(
 
 
 def _linear_model(
-    problem: Problem, x: Array, possible: Sequence[Unknown], sizes: Array, floor: float
+    problem: Problem, x: Array, possible: Sequence[Unknown], sizes: Array
 ) -> tuple[LinearModel, Array, Array]:
     """Return the model of a search in which every change is a group, linearised at unknowns
     ``(P,)`` of a machine that changed by some sizes ``(c,)``, in tolerances.
@@ -164,19 +155,16 @@ def _linear_model(
     extended = replace(problem, unknowns=(*problem.unknowns, *possible))
     unit = extended.tolerance[count:]
     linearised = linearise(extended, np.concatenate([x, sizes * unit]))
-    nuisance = nuisances(extended, linearised.reading_poses)
     prior, target = problem.prior_rows
     prior_root = np.asarray(scale[:, None] * np.linalg.inv(prior * scale))
     prior_mean = np.asarray(prior_root @ target)
-    jacobian, changes = np.hsplit(nuisance.project(linearised.jacobian), [count])
-    columns = changes * unit
-    residual = nuisance.project(problem.measured - linearised.value)
-    residual += jacobian @ (x - prior_mean) + columns @ sizes
-    prior_columns = jacobian @ prior_root
-    directions, singular, _ = np.linalg.svd(prior_columns, full_matrices=False)
-    share, projected = singular**2 / (1 + singular**2), directions.T @ residual
-    dof = len(problem.measured) - nuisance.unconstrained_count - float(share.sum())
-    chi2 = float(residual @ residual - projected @ (share * projected))
+    jacobian, changes = np.hsplit(linearised.jacobian, [count])
+    columns = np.hstack([jacobian @ prior_root, changes * unit])
+    residual = problem.measured - linearised.value + jacobian @ (x - prior_mean)
+    residual += columns[:, count:] @ sizes
+    rows = MergedRows((), np.arange(len(residual))).beside([columns])
+    nuisance = nuisances(extended, linearised.reading_poses)
+    readings = WhitenedReadings.of(problem, nuisance, rows, residual)
     effect_of, groups = problem.machine.catalogue.effect_of, []
     for k, change in enumerate(possible):
         # A zero is easily entered, so it changes more often than anything else.
@@ -185,11 +173,9 @@ def _linear_model(
         groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
     no_columns = np.zeros(count + c, dtype=bool)
     linear = LinearModel(
-        np.hstack([prior_columns, columns]), residual,
-        np.where(np.arange(count + c) < count, np.nan, 0.0), no_columns, no_columns,
-        tuple(groups), np.zeros((len(residual), 0)), (1.0,), SLAB_WIDTHS,
-        slab_log_odds=SLAB_ODDS, max_active=_MOST_CHANGES,
-        unknown_noise=UnknownNoise(chi2, max(dof, 1.0), floor),
+        **vars(readings), fixed_sd=np.where(np.arange(count + c) < count, np.nan, 0.0),
+        free_form=no_columns, plate_shapes=no_columns, groups=tuple(groups),
+        background_scales=(1.0,), max_active=_MOST_CHANGES,
     )  # fmt: skip
     return drop_unseen_directions(linear), prior_mean, prior_root
 
@@ -226,13 +212,10 @@ def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
     if len(visit_starts) < 2:
         return [], 0.0
     full_problem = _with_all_effects(problem)
-    floor = 1.0
-    if problem.noise.source == "repeats":  # reliable down to the rounding
-        floor = min(1.0, (problem.noise.resolution / problem.noise.typical) ** 2 / 12)
     try:
         start = full_problem.zero_padded(estimate.x)
         possible = _changes_between_visits(full_problem, visit_starts)
-        changes = most_probable_changes(full_problem, start, possible, floor)
+        changes = most_probable_changes(full_problem, start, possible)
     except NumericsError:
         return [], 0.0
     pairs = pairwise(visit_starts)

@@ -20,11 +20,14 @@ from orthoglide.explanation.alternative_readings import (
     setups_to_reinterpret,
 )
 from orthoglide.explanation.assumed_noise import (
+    State,
     check_scatter,
     find_scattered_setups,
     outlying_repeats,
+    with_likelier_noise,
     with_noise_reestimated,
 )
+from orthoglide.explanation.base_fit import fit_nested
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
 from orthoglide.explanation.compression import MOST_RANKED_READINGS
@@ -45,8 +48,7 @@ from orthoglide.explanation.full_posterior import (
     posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
-from orthoglide.explanation.overstated_noise import State, with_likelier_noise
-from orthoglide.explanation.ranked_readings import fit_nested, likeliest_misreading
+from orthoglide.explanation.ranked_readings import likeliest_misreading
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.estimate import row_indices
 from orthoglide.fit.noise import rms_by_unit

@@ -145,123 +145,87 @@ def _row_label(problem: Problem, places: tuple[tuple[int, int], ...]) -> str:
     return f", {readings.kind[row] if readings.paired[row] else 'posture'} {label}"
 
 
+_CLAUSES: dict[Kind, str] = {
+    "knocked_stand": "from here on all readings of the setup are {shift} than before, as if the "
+    "dial's stand had been knocked: give these rows a setup name of their own, or measure the "
+    "setup again",
+    "moved": "from here on the same places read about {size} {unit} otherwise than before, as if "
+    "the instrument, or what it stands on, had been moved, or drifted: give the rows from there on "
+    "a setup name of their own, as is done here, or measure the setup again{lost_motion}",
+    "drifted": "from the first of these readings to the last, what the same places read changes "
+    "evenly by about {size} {unit}, as if the instrument, or what it stands on, crept or warmed: "
+    "its rate is fitted here; let it settle and measure the setup again{lost_motion}",
+    "scatter": "visits to the same {place} scatter by {scatter} {unit}, which is no noise of such "
+    "an instrument: rows were exchanged, the readings have another unit, or something is loose; "
+    "correct it, or {remedy}",
+    "sign": "the readings fit with the opposite sign, so {dials} counted the other way: look at "
+    "which way {hands} and put {direction}",
+    "label": "the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
+    "where it stood, and correct the leg or the direction of the setup",
+    "exchanged_labels": "the readings of these two fit once they are exchanged, so the two dials "
+    "or their columns were mixed up: check which dial stood where and exchange the setups' labels",
+    "shifted": "the readings fit a row farther {up}, so they were written a row too {late}: move "
+    "them {up} by one, and measure the one that is lost again",
+    "unit": "the readings fit once they are multiplied by {factor}, so they seem to be {mistake}: "
+    "put these readings into millimetres",
+    "noisy": "the readings of this setup are {times} times as noisy as assumed, and their weight "
+    "is reduced accordingly: look for what is loose on this {parts}, and read the setup again",
+    "turns": "{these} {range} mm off the setup's others, in whole turns of a hand that shows "
+    "{shown} mm by each: read the small hand, which counts them, and correct or drop these rows",
+    "stuck": "the dial shows {reading} mm in {count} readings one after the other while the "
+    "machine moves: free the plunger and measure these rows again",
+}
+"""What each other kind of fault looks like, and what to do about it."""
+
+
 def _clause(problem: Problem, fault: Fault) -> str:
     """Return what a fault looks like, and what to do about it."""
-    k, row, readings, setup = _readings_and_setup(problem, fault)
-    unit, size = setup.observation.unit, compact(fault.size * 1e3, 2)
-    known = problem.factors[k].approach_known(int(readings.setup[row]))
-    lost_motion = "" if known else _LOST_MOTION
     match fault.kind:
         case "outlier":
             return _outlier_clause(problem, fault)
         case "zeroed":
             return _zeroed_clause(problem, fault)
-        case "knocked_stand":
-            shift = f"{abs(fault.size) * 1e3:.3g} mm {'higher' if fault.size > 0 else 'lower'}"
-            return (
-                f"from here on all readings of the setup are {shift} than before, as if the dial's "
-                f"stand had been knocked: give these rows a setup name of their own, or measure "
-                f"the setup again"
-            )
-        case "moved":
-            return (
-                f"from here on the same places read about {size} {unit} otherwise than before, as "
-                f"if the instrument, or what it stands on, had been moved, or drifted: give the "
-                f"rows from there on a setup name of their own, as is done here, or measure the "
-                f"setup again{lost_motion}"
-            )
-        case "drifted":
-            return (
-                f"from the first of these readings to the last, what the same places read changes "
-                f"evenly by about {size} {unit}, as if the instrument, or what it stands on, crept "
-                f"or warmed: its rate is fitted here; let it settle and measure the setup again"
-                f"{lost_motion}"
-            )
         case "command":
             return _command_clause(problem, fault)
-        case "scatter":
-            place, remedy = "posture", "declare the noise with --noise"
-            if readings.of_tool:
-                touches = setup.observation.touches
-                place = "place, or to places beside it," if touches else "place"
-                remedy = (
-                    f"give repeatability in the machine file under [instrument.{setup.kind}]"
-                    f"{lost_motion}"
-                )
-            return (
-                f"visits to the same {place} scatter by {fault.size * 1e3:.2g} {unit}, which is no "
-                f"noise of such an instrument: rows were exchanged, the readings have another "
-                f"unit, or something is loose; correct it, or {remedy}"
-            )
-        case _:
-            return _misreading_clause(problem, fault, setup)
-
-
-def _misreading_clause(problem: Problem, fault: Fault, setup: Setup) -> str:
-    """Return what the readings of a setup stand for, and what to do about it."""
-    count = len(fault.rows)
-    match fault.kind:
-        case "sign":
-            return _sign_clause(setup, several=len(setups_of(problem, fault)) > 1)
-        case "label":
-            leg, axis = (LEGS[k] for k in fault.label)
-            return (
-                f"the readings fit as those of a dial on leg {leg} that reads along {axis}: check "
-                f"where it stood, and correct the leg or the direction of the setup"
-            )
-        case "exchanged_labels":
-            return (
-                "the readings of these two fit once they are exchanged, so the two dials or their "
-                "columns were mixed up: check which dial stood where and exchange the setups' "
-                "labels"
-            )
-        case "shifted":
-            lateness, direction = ("late", "up") if fault.size > 0 else ("early", "down")
-            return (
-                f"the readings fit a row farther {direction}, so they were written a row too "
-                f"{lateness}: move them {direction} by one, and measure the one that is lost again"
-            )
-        case "unit":
-            return (
-                f"the readings fit once they are multiplied by {fault.size:.4g}, so they seem to "
-                f"be {UNIT_MISTAKES[fault.size]}: put these readings into millimetres"
-            )
-        case "noisy":
-            parts = "dial, its stand and its leg"
-            if not setup.observation.on_leg:
-                parts = "instrument and its stand"
-            return (
-                f"the readings of this setup are {compact(fault.size, 2)} times as noisy as "
-                f"assumed, and their weight is reduced accordingly: look for what is loose on this "
-                f"{parts}, and read the setup again"
-            )
-        case "turns":
-            extremes = sorted({min(fault.sizes), max(fault.sizes)})
-            range_words = " to ".join(compact(each * 1e3, plus=True) for each in extremes)
-            return (
-                f"{f'these {count} readings are' if count > 1 else 'this reading is'} "
-                f"{range_words} mm off the setup's others, in whole turns of a hand that shows "
-                f"{fault.size * 1e3:.3g} mm by each: read the small hand, which counts them, and "
-                f"correct or drop these rows"
-            )
-        case _:  # stuck
-            return (
-                f"the dial shows {compact(problem.measured[fault.rows[0]] * 1e3, 6)} mm in {count} "
-                f"readings one after the other while the machine moves: free the plunger and "
-                f"measure these rows again"
-            )
-
-
-def _sign_clause(setup: Setup, several: bool) -> str:
-    """Return that a dial, or several, counted the other way, and what to do."""
+    k, row, readings, setup = _readings_and_setup(problem, fault)
+    known = problem.factors[k].approach_known(int(readings.setup[row]))
+    lost_motion = "" if known else _LOST_MOTION
+    place, remedy = "posture", "declare the noise with --noise"
+    if readings.of_tool:
+        place = "place, or to places beside it," if setup.observation.touches else "place"
+        remedy = f"give repeatability in the machine file under [instrument.{setup.kind}]"
+        remedy += lost_motion
+    several, size, count = len(setups_of(problem, fault)) > 1, fault.size, len(fault.rows)
     other = ("" if setup.sign < 0 else "-") + LEGS[setup.axis]
-    dials, hands = "the dial", "its hand turns"
-    remedy = f"direction {other} instead of {setup.direction}"
-    if several:
-        dials, hands, remedy = "these dials", "their hands turn", "the opposite directions"
-    return (
-        f"the readings fit with the opposite sign, so {dials} counted the other way: look at which "
-        f"way {hands} and put {remedy}"
+    extremes = sorted({min(fault.sizes, default=0.0), max(fault.sizes, default=0.0)})
+    return _CLAUSES[fault.kind].format(
+        shift=f"{abs(size) * 1e3:.3g} mm {'higher' if size > 0 else 'lower'}",
+        size=compact(size * 1e3, 2),
+        unit=setup.observation.unit,
+        lost_motion=lost_motion,
+        place=place,
+        scatter=f"{size * 1e3:.2g}",
+        remedy=remedy,
+        dials="these dials" if several else "the dial",
+        hands="their hands turn" if several else "its hand turns",
+        direction="the opposite directions"
+        if several
+        else f"direction {other} instead of {setup.direction}",
+        leg=LEGS[fault.label[0]],
+        axis=LEGS[fault.label[1]],
+        late="late" if size > 0 else "early",
+        up="up" if size > 0 else "down",
+        factor=f"{size:.4g}",
+        mistake=UNIT_MISTAKES.get(size),
+        times=compact(size, 2),
+        parts="dial, its stand and its leg"
+        if setup.observation.on_leg
+        else "instrument and its stand",
+        these=f"these {count} readings are" if count > 1 else "this reading is",
+        range=" to ".join(compact(each * 1e3, plus=True) for each in extremes),
+        shown=f"{size * 1e3:.3g}",
+        reading=compact(problem.measured[fault.rows[0]] * 1e3, 6),
+        count=count,
     )
 
 

@@ -13,7 +13,12 @@ import numpy as np
 
 from orthoglide.errors import NumericsError, SolverError
 from orthoglide.explanation.alternatives import Alternatives
-from orthoglide.explanation.base_fit import closure_explained, exceeded_limits, fits_without_a_slip
+from orthoglide.explanation.base_fit import (
+    closure_explained,
+    exceeded_limits,
+    fit_nested,
+    fits_without_a_slip,
+)
 from orthoglide.explanation.columns import LinearisedModel, linearise_full_model
 from orthoglide.explanation.corrections import with_exact_size, with_faults_corrected
 from orthoglide.explanation.fault_columns import FaultKey
@@ -282,7 +287,7 @@ def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
                 break
             corrected = wrong
             problem = with_faults_corrected(before.problem, [*wrong.values()])
-            fit = solve(problem, method="nested", widen=False) if wrong else before
+            fit = fit_nested(problem) if wrong else before
             posterior = _posterior_at(fit, (), posterior, [*wrong.values()], suspected_faults=True)
     return posterior
 

@@ -57,27 +57,6 @@ SLAB_SCALES = (0.3, 1.0, 3.0, 10.0)
 """Scales tau of active groups, in tolerances or units of the group."""
 
 
-@dataclass(frozen=True)
-class UnknownNoise:
-    """Noise of unknown size, estimated from the unexplained chi2, down to a floor."""
-
-    chi2: float  # of the readings where no group is active
-    dof: float  # degrees of freedom: what noise of the declared size makes of it
-    floor: float = 1.0  # least chi2 per degree of freedom
-
-    def log_likelihood_gain(self, explained: Array | float) -> Array:
-        """Return the log likelihood gained by explaining chi2 ``(...)``."""
-        ratio = (self.chi2 - np.append(np.asarray(explained), 0.0)) / (self.dof * self.floor)
-        deviance = self.dof / 2 * np.where(ratio > 1, 1 + np.log(np.maximum(ratio, 1)), ratio)
-        return np.asarray(deviance[-1] - deviance[:-1].reshape(np.shape(explained)))
-
-    def variance(self, explained: float) -> float:
-        """Return the noise variance, relative to the declared one, if ``explained`` of chi2 is
-        explained.
-        """
-        return max(self.floor, (self.chi2 - explained) / self.dof)
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Group:
     """Coefficients that are active or inactive together."""
@@ -135,30 +114,7 @@ class LinearModel:
     # noise is less likely
     noise_decay: float = 0.0
     station_remainder: StationRemainder = NO_REMAINDER
-    # log prior odds of each slab, relative to equal probabilities; empty if they are equal
-    slab_log_odds: tuple[float, ...] = ()
     max_active: int = 6  # active groups in one state: 9 changed no result
-    # noise of unknown size; the search then has one background alone, of one tolerance
-    unknown_noise: UnknownNoise | None = None
-
-    @cached_property
-    def log_odds_by_slab(self) -> dict[float, float]:
-        """Log prior odds of each slab, relative to equal probabilities."""
-        odds = self.slab_log_odds or (0.0,) * len(self.slab_scales)
-        return dict(zip(self.slab_scales, odds, strict=True))
-
-    def log_likelihood_gain(self, explained: Array, before: Array) -> Array:
-        """Return the log likelihood gained by explaining more of chi2 ``(scales, ...)``.
-
-        Args:
-            explained: additional chi2 explained ``(scales, ...)``.
-            before: chi2 explained already ``(scales,)``.
-        """
-        if self.unknown_noise is None:
-            return explained / 2
-        before = before.reshape(-1, *[1] * (explained.ndim - 1))
-        gain = self.unknown_noise.log_likelihood_gain
-        return gain(before + explained) - gain(before)
 
     def spike(self, background_scale: float, free_form_scale: float) -> Array:
         """Return the prior variance of each inactive coefficient ``(C,)``."""
@@ -307,8 +263,6 @@ class Scale:
 
 def scale_grid(linear: LinearModel) -> tuple[Scale, ...]:
     """Return the grid of scales, without the larger noises that have no weight in any state."""
-    if linear.unknown_noise is not None:
-        return (Scale(Basis(linear, 0.0, 0.0), 1.0),)
     declared_noise = [Basis(linear, free, 0.0) for free in FREE_FORM_SCALES]
     grid = [Scale(basis, s) for s, basis in product(linear.background_scales, declared_noise)]
     least = max(scale.log_z for scale in grid) - NEGLIGIBLE_LOG_WEIGHT

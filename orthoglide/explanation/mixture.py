@@ -239,7 +239,7 @@ class Mixture(Search):
     def alternatives_to(self, group: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.
 
-        All have one coefficient. They are judged at the widest slab, over the first background.
+        All have one coefficient. They are judged at the widest slab, over the likeliest background.
 
         Args:
             group: index of a group of the best state.
@@ -249,16 +249,12 @@ class Mixture(Search):
             Size by group; the group that explains most comes first.
         """
         smaller = self.without(group)
-        partial = self._partial_products(smaller)
-        explained = self._gains(partial)[0][0, :, -1]
-        unknown_noise, noise_variance = self.linear.unknown_noise, 1.0
-        if unknown_noise is not None:
-            explained_with = partial.explained[0] + explained[group]
-            noise_variance = unknown_noise.variance(float(explained_with))
-        fits_nearly_as_well = explained >= explained[group] - rise * noise_variance
+        scale = self.scales.index(self._likeliest_scale(self.best))
+        explained = self._gains(self._partial_products(smaller))[0][scale, :, -1]
+        fits_nearly_as_well = explained >= explained[group] - rise
         fits_nearly_as_well[[g for g, _ in self.best]] = False
         others, sizes = np.flatnonzero(fits_nearly_as_well), dict[int, float]()
-        order = descending(explained[others], LOG_ODDS_MARGIN * noise_variance)
+        order = descending(explained[others], LOG_ODDS_MARGIN)
         for other in others[order].tolist():
             state = tuple(sorted((*smaller, (other, self.linear.slab_scales[-1]))))
             coefficient = self.linear.groups[other].coefficients[0]
@@ -297,16 +293,7 @@ class Mixture(Search):
     def _covariances(self, index: NDArray[np.intp]) -> Callable[[State, Scale], Array]:
         """Return a function of state and scale: the covariance of some coefficients ``(k, k)``."""
         covariance = marginal_covariances(self.linear, index)
-        unknown_noise = self.linear.unknown_noise
-
-        def covariance_in(state: State, scale: Scale) -> Array:
-            noise_variance = 1.0
-            if unknown_noise is not None:
-                explained = self._partial_products(state).explained[0]
-                noise_variance = unknown_noise.variance(float(explained))
-            return noise_variance * covariance(scale, self.slab_root(state))
-
-        return covariance_in
+        return lambda state, scale: covariance(scale, self.slab_root(state))
 
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orthoglide.explanation.linear_model import LinearModel
 from orthoglide.fit.least_squares import explained_by_two
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, descending
@@ -33,7 +32,7 @@ class PartialProducts(NamedTuple):
 
 
 def likely_pairs(
-    linear: LinearModel,
+    slabs: Sequence[float],
     crossed: Array,
     partial: PartialProducts,
     log_weights: Array,
@@ -43,7 +42,7 @@ def likely_pairs(
     """Yield the pairs that explain the readings nearly as well as the best pair.
 
     Args:
-        linear: the readings.
+        slabs: scales of active groups.
         crossed: inner products of the columns of the causes ``(scales, n, n)``.
         partial: inner products of these columns, given the active groups.
         log_weights: without a pair ``(scales,)``.
@@ -56,10 +55,9 @@ def likely_pairs(
     allowed = np.flatnonzero(np.isfinite(cost))
     first, second = (allowed[k] for k in np.triu_indices(len(allowed), 1))
     coarse = np.flatnonzero(coarse_scales)
-    if not len(first) or not len(coarse):
+    if not len(first):
         return
-    components, products, explained_before, _ = partial
-    slabs, odds = linear.slab_scales, linear.log_odds_by_slab
+    components, products, *_ = partial
     square = np.diagonal(crossed, axis1=1, axis2=2) - (components**2).sum(axis=1)
 
     def gain(
@@ -72,8 +70,7 @@ def likely_pairs(
             (1 + tau_i**2 * squares)[:, i], (1 + tau_j**2 * squares)[:, j],
             tau_i * tau_j * cross, tau_i * shown[:, i], tau_j * shown[:, j],
         )  # fmt: skip
-        likelihood = linear.log_likelihood_gain(explained, explained_before[at])
-        return likelihood - np.log(determinant) / 2 + odds[tau_i] + odds[tau_j]
+        return (explained - np.log(determinant)) / 2
 
     # First all pairs at equal taus and few background scales.
     along = components[coarse]

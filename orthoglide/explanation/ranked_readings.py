@@ -16,7 +16,9 @@ from orthoglide.explanation.alternative_readings import (
     alternative_readings,
     level_readings,
     setups_to_reinterpret,
+    turn_alternatives,
 )
+from orthoglide.explanation.base_fit import fit_nested
 from orthoglide.explanation.columns import LinearisedModel
 from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import corrected_readings, with_faults_corrected
@@ -31,9 +33,8 @@ from orthoglide.explanation.full_likelihood import (
     in_standard_deviations,
 )
 from orthoglide.explanation.full_posterior import FullPosterior, posterior_at_base_fit
-from orthoglide.explanation.hand_turns import turn_alternatives
 from orthoglide.explanation.linear_model import TWENTY_TO_ONE
-from orthoglide.fit import Estimate, Problem, solve
+from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.least_squares import linearise
 from orthoglide.fit.plausible import exchanged_drives, sigma_scale_within
 from orthoglide.geometry import Array
@@ -46,11 +47,6 @@ _PER_SELECTION = 3
 BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
 """Backgrounds under which misreadings of dials are ranked: a usual machine, a sound one, one off by
 all its tolerances, and one with free-form errors everywhere."""
-
-
-def fit_nested(problem: Problem, start: Array | None = None) -> Estimate:
-    """Return the fit of readings in doubt, with priors as they stand; ``start``: ``(P,)``, SI."""
-    return solve(problem, method="nested", start=start, widen=False)
 
 
 def likeliest_misreading(

@@ -15,11 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from orthoglide.explanation.change import Change, combination
-from orthoglide.explanation.change_search import (
-    SLAB_WIDTHS,
-    most_probable_changes,
-    possible_changes,
-)
+from orthoglide.explanation.change_search import most_probable_changes, possible_changes
+from orthoglide.explanation.linear_model import SLAB_SCALES
 from orthoglide.fit.assembling import excited_effects, with_free
 from orthoglide.fit.estimate import Estimate
 from orthoglide.fit.problem import Problem
@@ -110,7 +107,7 @@ def _with_plate_shapes(problem: Problem, width: float) -> Problem:
     )
     bent = _effects_found(problem.machine.spec)
     with_widths = (
-        replace(u, prior_width=max(SLAB_WIDTHS) if u.name.effect in bent else width)
+        replace(u, prior_width=max(SLAB_SCALES) if u.name.effect in bent else width)
         for u in new_unknowns
     )
     return replace(problem, unknowns=(*problem.unknowns, *with_widths))
@@ -134,7 +131,7 @@ def _with_parameters_released(
     patterns = [name for name in names if name not in problem.names]
     extended = with_free(problem, patterns, release=False) if patterns else problem
     unknowns = (
-        replace(u, prior_width=max(SLAB_WIDTHS)) if u.name.plain in names else u
+        replace(u, prior_width=max(SLAB_SCALES)) if u.name.plain in names else u
         for u in extended.unknowns
     )
     remaining = earlier.without(names)

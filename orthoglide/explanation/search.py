@@ -8,7 +8,7 @@ is Gaussian:
 
     ln Z = -(r^T S^-1 r + ln det S) / 2,     S = 1 + A D A^T
 
-Each step adds, removes or exchanges up to three groups. Two active causes may explain the readings
+Each step adds, removes or exchanges one or two groups. Two active causes may explain the readings
 only together, and a third cause may resemble their sum. All pairs of causes and data faults with
 one coefficient are therefore compared.
 """
@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from orthoglide.explanation.linear_model import (
     EXPECTED_CAUSES,
-    NEGLIGIBLE_LOG_WEIGHT,
     LinearModel,
     Scale,
     left_singular,
@@ -34,8 +33,6 @@ from orthoglide.explanation.pairs import PartialProducts, likely_pairs
 from orthoglide.fit.least_squares import rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
-
-_MOST_FOR_TRIPLES = 6  # active groups of which three are exchanged: 12 changed no result
 
 State = tuple[tuple[int, float], ...]
 """Active groups by index, each with its tau."""
@@ -114,12 +111,7 @@ class Search:
 
     def _better_state(self, state: State) -> State | None:
         """Return a state of more weight from ever larger neighbourhoods, if there is one."""
-        for neighbours in (
-            self._one_changed,
-            self._two_changed,
-            self._three_changed,
-            self._best_children,
-        ):
+        for neighbours in (self._one_changed, self._two_changed):
             best = best_of((state, *neighbours(state)), self.log_weight, LOG_ODDS_MARGIN)
             if best != state:
                 return best
@@ -147,24 +139,6 @@ class Search:
             for smaller in self._with_fewer(state, count):
                 yield from self._with_pair(smaller, [g for g, _ in state])
 
-    def _three_changed(self, state: State) -> Iterator[State]:
-        """Yield states with two or three groups removed, or exchanged for one or two others.
-
-        Over a grid of backgrounds this would take half of the time and find nothing more.
-        """
-        triples_too = len(state) <= _MOST_FOR_TRIPLES
-        for count in range(2, 3 + triples_too) if len(self.scales) == 1 else ():
-            for smaller in self._with_fewer(state, count):
-                yield from self._with_one_more(smaller)
-                yield from self._with_pair(smaller, ())
-                yield smaller
-
-    def _best_children(self, _: State) -> Iterator[State]:
-        """Yield the best child of every state that was expanded so far."""
-        for state in list(self.children):
-            if self._given_groups <= {g for g, _ in state}:
-                yield from self._with_one_more(state)
-
     def _with_fewer(self, state: State, count: int) -> list[State]:
         """Return the states with ``count`` groups removed, given ones excepted."""
         removable = [s for s in state if s[0] not in self._given_groups]
@@ -189,11 +163,16 @@ class Search:
         partial = self._partial_products(state, self._first_column[singles])
         if state not in self.visited:
             self.visited[state] = self._log_weights(state, partial)
-        weights, matters = self.visited[state], self._may_matter(state, partial)
+        weights = self.visited[state]
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])
         for i, tau, j, other_tau, log_weights in likely_pairs(
-            self.linear, self._crossed, partial, weights, cost, self._coarse_scales & matters
+            self.linear.slab_scales,
+            self._crossed,
+            partial,
+            weights,
+            cost,
+            self._coarse_scales,
         ):
             pair = (int(singles[i]), tau), (int(singles[j]), other_tau)
             states.append(tuple(sorted((*state, *pair))))
@@ -226,19 +205,16 @@ class Search:
         if state not in self.visited:
             self.visited[state] = self._log_weights(state, partial)
         explained, occam = self._gains(partial)
-        table = self.linear.log_likelihood_gain(explained, partial.explained) - occam
-        table += list(self.linear.log_odds_by_slab.values()) - self.cost[:, None]
-        table += self.visited[state][:, None, None]
+        table = explained / 2 - occam
+        table += self.visited[state][:, None, None] - self.cost[:, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
 
     def _log_weights(self, state: State, partial: PartialProducts) -> Array:
         """Return the log weights of a state ``(scales,)``."""
-        odds, explained = self.linear.log_odds_by_slab, partial.explained
-        prior_cost = sum(self.cost[g] - odds.get(tau, 0.0) for g, tau in state)
-        log_z = np.array([s.log_z for s in self.scales]) - partial.log_det / 2 - prior_cost
-        gain = self.linear.log_likelihood_gain(explained, np.zeros(len(explained)))
-        return np.asarray(log_z + gain)
+        prior_cost = sum(self.cost[group] for group, _ in state)
+        gain = (partial.explained - partial.log_det) / 2
+        return np.array([s.log_z for s in self.scales]) + gain - prior_cost
 
     def _gains(self, partial: PartialProducts) -> tuple[Array, Array]:
         """Return what each group explains of chi2 beside the active ones, and its Occam factor.
@@ -267,16 +243,6 @@ class Search:
         least = min(s.free_form_scale for s in self.scales)
         noises = sorted({s.noise for s in self.scales})[::2]
         return np.array([s.free_form_scale == least and s.noise in noises for s in self.scales])
-
-    def _may_matter(self, state: State, partial: PartialProducts) -> NDArray[np.bool_]:
-        """Return at which scales a state with more groups may have any weight ``(scales,)``: they
-        explain no more than the remaining chi2.
-        """
-        bound = self.visited[state] + (self._chi2 - partial.explained) / 2
-        known_noise = self.linear.unknown_noise is None
-        return np.asarray(
-            (bound > self.log_weight(self.best) - NEGLIGIBLE_LOG_WEIGHT) | (not known_noise)
-        )
 
     @cached_property
     def _single_groups(self) -> NDArray[np.intp]:
@@ -338,17 +304,9 @@ class Search:
         return np.array([s.residual @ s.residual for s in self.scales])
 
     def _products_with_groups(self, rows: Array) -> Array:
-        """Return inner products of rows ``(scales, q, m)`` and all columns ``(scales, q, K)``.
-
-        Scales of one basis are computed together, as its columns are large.
-        """
-        products = np.empty((*rows.shape[:2], self._column_count))
-        for basis in dict.fromkeys(s.basis for s in self.scales):
-            shared = [k for k, s in enumerate(self.scales) if s.basis is basis]
-            weighted = np.concatenate([rows[k] * self.scales[k].weight for k in shared])
-            shape = len(shared), *products.shape[1:]
-            products[shared] = (weighted @ basis.group_columns).reshape(shape)
-        return products
+        """Return inner products of rows ``(scales, q, m)`` and all columns ``(scales, q, K)``."""
+        pairs = zip(self.scales, rows, strict=True)
+        return np.stack([(of_scale * s.weight) @ s.basis.group_columns for s, of_scale in pairs])
 
     def _gram_matrices(self, size: int, index: NDArray[np.intp]) -> Array:
         """Return Gram matrices of all groups of a size ``(scales, groups, size, size)``."""

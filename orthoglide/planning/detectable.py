@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any
 
@@ -14,9 +14,8 @@ from orthoglide.arguments import public
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_integer, check_list
-from orthoglide.explanation.candidates import Candidate
+from orthoglide.explanation.candidates import Candidate, Signatures, signatures
 from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2
-from orthoglide.explanation.signatures import Signatures, noise_residuals, signatures
 from orthoglide.fit import solve
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
@@ -154,8 +153,8 @@ def smallest_effects(
     check_list("names", () if names is None else names)
     machine.catalogue.expand(names)
     model = signatures(solve(predicted_problem(machine, campaign, noise), method="nested"))
-    weighted = replace(model, columns=model.weighted_by_background(model.columns))
-    threshold = _evidence_threshold(model, weighted, level, seed)
+    weighted = model.weighted_by_background
+    threshold = _evidence_threshold(weighted, level, seed)
     single = [c for c in model.candidates if c.size == 1]
     length, cosine = _signature_cosines(weighted, single)
     catalogue, smallest = machine.catalogue, []
@@ -182,14 +181,15 @@ def smallest_effects(
     return Detectability(tuple(smallest), invisible, threshold, catalogue.legs)
 
 
-def _evidence_threshold(model: Signatures, weighted: Signatures, level: float, seed: int) -> float:
+def _evidence_threshold(weighted: Signatures, level: float, seed: int) -> float:
     """Return the evidence that the best candidate exceeds with probability ``level`` on noise."""
     if not (isinstance(level, Real) and 0 < level < 1):
         raise InputError(f"level is a probability between 0 and 1, such as 0.01, not {level!r}")
     rng = np.random.default_rng(check_integer("seed", seed, 0))
-    if not model.candidates:
+    if not weighted.candidates:
         return 0.0
-    best_evidence = weighted.evidences(noise_residuals(model, rng, _DRAWS)).max(axis=0)
+    noise = rng.standard_normal((len(weighted.columns), _DRAWS))
+    best_evidence = weighted.evidences(noise).max(axis=0)
     return float(np.quantile(best_evidence, 1 - level))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.class_members import ClassMembers
+from orthoglide.explanation.causes import ClassMembers
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.least_squares import linearise, nuisances

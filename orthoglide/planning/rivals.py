@@ -14,7 +14,7 @@ from orthoglide.arguments import public
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError, check_type
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.class_members import ClassMembers
+from orthoglide.explanation.causes import ClassMembers
 from orthoglide.fit import Estimate, normal_equations
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
