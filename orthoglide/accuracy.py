@@ -1,8 +1,9 @@
-"""The TCP over the workspace: its uncertainty, and the errors to expect.
+"""The TCP over the workspace: its uncertainty, the errors to expect, and transmission factors.
 
 An error over the workspace has two parts. The *common offset* (``place``) is its mean, a
 translation, which readings on the legs cannot detect. The *shape error* (``shape``) is the error
-after that translation is removed; a calibration improves it.
+after that translation is removed; a calibration improves it. Transmission factors say how fast the
+tool moves for drives of unit speed (Chablat and Wenger 2003; Pashkevich et al. 2008, 2.1).
 """
 
 from __future__ import annotations
@@ -11,10 +12,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from orthoglide.arguments import public
 from orthoglide.effects import DRIVE_ENTRIES
-from orthoglide.geometry import Array, Geometry
-from orthoglide.machine import Machine
+from orthoglide.errors import InputError, as_float_array, check_integer
+from orthoglide.geometry import Array, Geometry, vectors
+from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands as commands_of
 from orthoglide.numerals import with_sigma
 from orthoglide.prediction import Conditions
@@ -32,13 +36,10 @@ _MIN_SIGMAS = 2.0  # standard deviations by which an expected gain must exceed z
 
 
 def workspace_grid(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
-    """Return commands ``(n, 3)`` that fill the workspace evenly, metres.
+    """Return commands ``(n, 3)`` that fill the workspace evenly, metres, ``count`` along each axis.
 
-    Args:
-        geometry: dimensions of the machine.
-        count: number of commands along each axis.
-        pitch: pitch of its screws, metres. With it, commands are shifted to three equally frequent
-            phases of a turn, where a regular grid may meet only one.
+    With the ``pitch`` of screws, metres, commands are shifted to three equally frequent phases of a
+    turn, where a regular grid may meet only one.
     """
     layout, sizes = geometry.layout, (geometry.L, geometry.r, geometry.stroke)
     if (points := layout.points(*sizes, count)) is not None:
@@ -94,11 +95,8 @@ class TcpMap:
 
 
 def tcp_map(machine: Machine, commands: Array | None = None) -> TcpMap:
-    """Return the predicted TCP of a calibrated machine over the workspace, with its uncertainty.
-
-    Args:
-        machine: the calibrated machine.
-        commands: commands ``(g, 3)``, metres; by default :func:`workspace_commands`.
+    """Return the predicted TCP of a calibrated machine, with its uncertainty, over the workspace or
+    at commands ``(g, 3)``, metres.
     """
     grid = workspace_commands(machine) if commands is None else commands
     slopes = tcp_slopes(machine, machine.posterior.names, Conditions.from_commands(grid))
@@ -131,12 +129,8 @@ class ExpectedError:
 
 
 def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedError:
-    """Return the tool's expected error if the commands allow for some parameters.
-
-    Args:
-        machine: the calibrated machine.
-        settings: values of these parameters, SI: all values of the machine for compensated
-            commands, none for a controller without corrections.
+    """Return the expected error of a calibrated machine if its commands allow for some parameters,
+    SI: for all its values if they are compensated, for none without corrections.
     """
     shape, offset = _sampled_errors(machine, settings)
     return ExpectedError(*map(float, (shape.mean(), shape.std(), offset.mean(), offset.std())))
@@ -145,12 +139,8 @@ def expected_error(machine: Machine, settings: Mapping[str, float]) -> ExpectedE
 def expected_gain(
     machine: Machine, before: Mapping[str, float], after: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Return the decrease of the tool's mean shape error and its standard deviation, metres.
-
-    Args:
-        machine: the calibrated machine.
-        before: parameters that the commands allow for at first, SI.
-        after: parameters that they allow for then, SI.
+    """Return the decrease of the mean shape error of a calibrated machine and its standard
+    deviation, metres, by the parameters that the commands allow for before and after, SI.
     """
     gain = _sampled_errors(machine, before)[0] - _sampled_errors(machine, after)[0]
     return float(gain.mean()), float(gain.std())
@@ -195,20 +185,14 @@ def wanted_points(machine: Machine) -> Array:
 
 
 def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
-    """Return the zeros with the least shape error, and the other parameters of the controller.
+    """Return the zeros with the least shape error and other entries of the controller, such as
+    ``"bar_length"`` or ``"scale"``, as parameters that the commands allow for, SI.
 
     The zeros are fitted by least squares over the workspace to the machine with all its parameters,
     as errors that the controller cannot correct shift the best zeros. Of zeros with equal shape
     errors those with the least common offset are taken. On parallel slides the zeros keep the
     tool's height above its plate: readings there do not determine the height of the machine, and
     zeros from a prior would drive the tool into the plate.
-
-    Args:
-        machine: the calibrated machine.
-        also: other entries of the controller: ``"bar_length"``, ``"scale"`` ...
-
-    Returns:
-        Parameters that the commands allow for, SI.
     """
     taken, effect_of = {"zero", *also}, machine.catalogue.effect_of
     zeros = machine.catalogue.expand(machine.catalogue.correctable_by("zero"))
@@ -232,10 +216,8 @@ def best_zeros(machine: Machine, also: Iterable[str] = ()) -> dict[str, float]:
 def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
     """Return the parameters that the commands allow for, SI, at each stage of correction.
 
-    Returns:
-        ``now``: none; ``zeros``: the best zeros; ``zeros_and_lengths``: zeros and bar lengths;
-        ``numbers``: all entries of a controller; ``compensated``: all parameters. See
-        :func:`expected_error` for the remaining error.
+    ``now``: none; ``zeros``: the best zeros; ``zeros_and_lengths``: zeros and bar lengths;
+    ``numbers``: all entries of a controller; ``compensated``: all parameters.
     """
     return {
         "now": {},
@@ -244,3 +226,85 @@ def tool_settings(machine: Machine) -> dict[str, dict[str, float]]:
         "numbers": best_zeros(machine, DRIVE_ENTRIES),
         "compensated": machine.values,
     }
+
+
+@dataclass(frozen=True)
+class CubeTransmission:
+    """Transmission factors of a machine over a cube whose edges lie along the base axes.
+
+    Attributes:
+        side: of the cube, metres.
+        centre: of the cube ``(3,)``, metres, base frame.
+        smallest: transmission factor over the cube, dimensionless.
+        largest: transmission factor over the cube, dimensionless.
+        travel: lowest and highest travel of any drive from mechanical zero, metres.
+        within_stroke: whether every drive stays within its stroke.
+    """
+
+    side: float
+    centre: Array
+    smallest: float
+    largest: float
+    travel: tuple[float, float]
+    within_stroke: bool
+
+
+@public
+def transmission_factors(machine: MachineSource | None, p: ArrayLike) -> Array:
+    """Return the velocity transmission factors at points, the largest first.
+
+    Args:
+        machine: nominal or calibrated, or the path of its file; the published one for ``None``.
+        p: TCP ``(..., 3)``, metres.
+
+    Returns:
+        Singular values of dp/drho ``(..., 3)``, dimensionless: 1 at an isotropic point.
+
+    Raises:
+        UnreachableError: naming the leg that is too short.
+    """
+    machine = Machine.of(machine)
+    return np.asarray(np.linalg.svd(machine.jacobian(machine.inverse(p)), compute_uv=False))
+
+
+@public
+def transmission_over_cube(
+    machine: MachineSource | None, side: float, centre: ArrayLike = (0.0, 0.0, 0.0), count: int = 9
+) -> CubeTransmission:
+    """Return the extreme transmission factors over a cube, and the travel that it needs.
+
+    Args:
+        machine: as for :func:`transmission_factors`.
+        side: of the cube, metres.
+        centre: of the cube ``(3,)``, metres, base frame.
+        count: points along each edge of the evaluated grid, at least 2.
+
+    Raises:
+        InputError: for a side that is not positive, or fewer than two points.
+        UnreachableError: naming the leg that is too short.
+    """
+    cube_centre = vectors(centre, "centre")
+    check_integer("count", count, 2)
+    size = as_float_array("the side", side)
+    if cube_centre.shape != (3,) or size.shape != () or not (np.isfinite(size) and size > 0):
+        raise InputError("a cube has a centre (3,) and a positive side, both in metres")
+    machine = Machine.of(machine)
+    steps = cube_centre + np.linspace(-side / 2, side / 2, count)[:, None]
+    # A drive travels furthest where the point is nearest to its leg's carriage, so the grid
+    # contains these coordinates too.
+    nearest = np.clip(machine.model.mechanism.spheres.centres, steps[0], steps[-1])
+    p = np.stack(
+        np.meshgrid(*(np.union1d(steps[:, k], nearest[:, k]) for k in range(3)), indexing="ij"),
+        axis=-1,
+    ).reshape(-1, 3)
+    rho = machine.inverse(p)
+    factors = np.linalg.svd(machine.jacobian(rho), compute_uv=False)
+    travel = rho - machine.geometry.zero
+    return CubeTransmission(
+        float(side),
+        cube_centre,
+        float(factors.min()),
+        float(factors.max()),
+        (float(travel.min()), float(travel.max())),
+        bool(machine.geometry.in_stroke(rho).all()),
+    )

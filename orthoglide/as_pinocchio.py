@@ -69,18 +69,13 @@ def pinocchio_model(machine: MachineSource | None = None) -> PinocchioModel:
     model, (visual,) = pin.buildReducedModel(tree.model, solids, locked, posture.q)
     reduced = Tree.of_model(model, tree.loops, tree.motors)
     constraints = Constraints(reduced)
+    rigid_models, rigid_datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
+    for loop in reduced.loops:
+        kind = pin.ContactType.CONTACT_3D if loop.kind == "point" else pin.ContactType.CONTACT_6D
+        ends = reduced.loop_ends(loop)
+        rigid_models.append(pin.RigidConstraintModel(kind, model, *ends, pin.LOCAL))
+        rigid_datas.append(rigid_models[-1].createData())
     return PinocchioModel(
-        model, constraints.models, constraints.datas, *_rigid_constraints(reduced), visual,
+        model, constraints.models, constraints.datas, rigid_models, rigid_datas, visual,
         np.delete(posture.q, tree.virtual), reduced.drive, reduced.frame(tree.tool),
     )  # fmt: skip
-
-
-def _rigid_constraints(tree: Tree) -> tuple[Any, Any]:
-    """Return the loops as ``RigidConstraintModel``, with their data."""
-    models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-    for loop in tree.loops:
-        kind = pin.ContactType.CONTACT_3D if loop.kind == "point" else pin.ContactType.CONTACT_6D
-        ends = tree.loop_ends(loop)
-        models.append(pin.RigidConstraintModel(kind, tree.model, *ends, pin.LOCAL))
-        datas.append(models[-1].createData())
-    return models, datas

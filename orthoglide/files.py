@@ -28,11 +28,7 @@ def result_file(path: str | os.PathLike[str], name: str) -> Path:
 
 
 def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> bytes:
-    """Return the content of a file.
-
-    Args:
-        path: of the file.
-        max_size: largest size allowed, bytes; `FILE_LIMIT` where absent.
+    """Return the content of a file of at most ``max_size`` bytes.
 
     Raises:
         FileError: where it is missing, empty, unreadable, too large, or a pipe or a device, which
@@ -75,12 +71,8 @@ _BINARY = {
 
 
 def decode(content: bytes, path: str | os.PathLike[str], errors: str = "strict") -> str:
-    """Return the text of UTF-8 content with or without byte order mark.
-
-    Args:
-        content: of the file.
-        path: its name, for errors.
-        errors: ``"replace"`` where invalid characters do not matter.
+    """Return the text of UTF-8 content with or without byte order mark; with ``errors="replace"``
+    invalid characters do not matter.
 
     Raises:
         FileError: for anything else than UTF-8 text.
@@ -108,11 +100,7 @@ def write_file(path: str | os.PathLike[str], content: str | bytes, *, overwrite:
 
 
 def write_files(contents: Mapping[Path, str | bytes], *, overwrite: bool = False) -> None:
-    """Write files completely, all of them or none.
-
-    Args:
-        contents: by path; text is encoded as UTF-8.
-        overwrite: whether existing files may be replaced.
+    """Write files completely, all of them or none; text is encoded as UTF-8.
 
     Raises:
         FileError: where a file exists and may not be replaced, or a file cannot be written.

@@ -93,12 +93,8 @@ _FIRMWARE_CONFIGS = {  # of a machine: text that only such files contain, how th
 
 
 def refuse_foreign(path: Path, content: bytes, accepted: Collection[str]) -> None:
-    """Refuse a file that another firmware wrote, or that another command reads.
-
-    Args:
-        path: path of the file.
-        content: first bytes of the file.
-        accepted: kinds that are accepted, as are unknown ones.
+    """Refuse a file that another firmware wrote, or that another command reads, by its first bytes;
+    kinds that are accepted pass, as unknown ones do.
 
     Raises:
         FileError: states what the file is and what to do instead.

@@ -38,11 +38,8 @@ class Framed(ABC):
 
 
 def data_frame(columns: Mapping[str, Sequence[Any]], index: str | None = None) -> pd.DataFrame:
-    """Return a pandas data frame of columns.
-
-    Args:
-        columns: of equal length, by name.
-        index: the column that names the rows; they are numbered where absent.
+    """Return a pandas data frame of columns of equal length; ``index`` names the column that names
+    the rows, which are numbered without it.
 
     Raises:
         InputError: where pandas is not installed.

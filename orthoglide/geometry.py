@@ -71,11 +71,8 @@ def align_points(points: Array, source: Array, target: Array) -> Array:
 
 
 def rotation_columns(points: Array, axis: NDArray[np.int64]) -> Array:
-    """Return the derivative ``(n, 3)`` of one coordinate a point by rotations about x, y and z.
-
-    Args:
-        points: ``(n, 3)``.
-        axis: coordinate of each point ``(n,)``.
+    """Return the derivative ``(n, 3)`` of one coordinate of each point by rotations about x, y and
+    z; points are ``(n, 3)``, and coordinates are given by ``axis`` ``(n,)``.
     """
     rows = np.arange(len(points))
     return np.stack([np.cross(e, points)[rows, axis] for e in np.eye(3)], axis=1)

@@ -138,18 +138,14 @@ class Machine:
         Raises:
             InputError: where two effects share a name, or a basis does not work on symbols.
         """
-        catalogue = self.catalogue.with_effects(effects)
-        if catalogue.effects == self.catalogue.effects:
-            return self
-        model = self.model.with_catalogue(catalogue)
-        return self._with_model(replace(self.spec, catalogue=catalogue), model)
+        return self._with_catalogue(self.catalogue.with_effects(effects))
 
     def with_shapes(self) -> Machine:
         """Return this machine with the sizes of its free-form errors as structured members."""
-        posterior = self.posterior
-        catalogue = self.catalogue.with_shapes(
-            dict(zip(posterior.names, posterior.mean.tolist(), strict=True))
-        )
+        mean = dict(zip(self.posterior.names, self.posterior.mean.tolist(), strict=True))
+        return self._with_catalogue(self.catalogue.with_shapes(mean))
+
+    def _with_catalogue(self, catalogue: Catalogue) -> Machine:
         if catalogue.effects == self.catalogue.effects:
             return self
         model = self.model.with_catalogue(catalogue)

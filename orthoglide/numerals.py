@@ -113,6 +113,6 @@ class ByUnit(NamedTuple):
         both = zip(("mm", "mrad"), self, strict=True)
         return {unit: value * 1e3 for unit, value in both if math.isfinite(value)}
 
-    def said(self, digits: int = 2) -> str:
+    def said(self) -> str:
         """Return the values with their units: ``0.01 mm``, ``0.01 mm and 0.02 mrad``."""
-        return " and ".join(f"{compact(v, digits)} {unit}" for unit, v in self.shown.items()) or "–"
+        return " and ".join(f"{compact(v, 2)} {unit}" for unit, v in self.shown.items()) or "–"

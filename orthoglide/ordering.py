@@ -31,12 +31,11 @@ _ROUNDING = 1e-9  # of the largest value: what no margin goes below
 
 
 def largest(values: ArrayLike, within: float | None = None) -> int:
-    """Return the index of the first value within the margin of the largest one.
+    """Return the index, in the flattened array, of the first value within the margin of the largest
+    one.
 
-    Args:
-        values: finite or infinite, of any shape, at least one; indices count the flattened array.
-        within: margin; ``RELATIVE_MARGIN`` of the largest finite value where absent. It is no less
-            than a billionth of that value.
+    The margin ``within`` is ``RELATIVE_MARGIN`` of the largest finite value where absent, and no
+    less than a billionth of that value.
     """
     flat = np.asarray(values, dtype=float).ravel()
     best = int(np.argmax(flat))
@@ -80,21 +79,16 @@ def ranked(items: Iterable[T], key: Callable[[T], float], within: float | None =
 
 
 def canonical_basis(rows: Array, within: Array | None = None) -> Array:
-    """Return the canonical basis of the space that independent rows span.
+    """Return the canonical basis of the space that independent rows ``(k, P)`` span: rows of unit
+    length in the order of their pivots.
 
     The result depends on the space alone, and not on the rows by which it is given: the singular
     vectors of nearly equal singular values are an arbitrary basis, which rounding turns. It is the
     reduced row echelon form, in which every row has the entry of its own pivot column and those of
     no other pivot. Pivots are the columns of largest norm in any orthonormal basis, as in a QR
-    decomposition with column pivoting, of equal ones the first.
-
-    Args:
-        rows: independent ``(k, P)``.
-        within: independent rows ``(q, P)`` of a subspace, which are the first of the ``k``
-            directions. Their basis is that of the subspace; the other rows vanish at its pivots.
-
-    Returns:
-        Rows of unit length ``(k, P)``, in the order of their pivots.
+    decomposition with column pivoting, of equal ones the first. ``within`` are independent rows
+    ``(q, P)`` of a subspace, which are the first directions: their basis is that of the subspace,
+    and the other rows vanish at its pivots.
     """
     space, pivots, bases = _orthonormal(rows), list[int](), list[Array]()
     if within is not None and 0 < len(within) < len(rows):

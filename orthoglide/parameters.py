@@ -23,11 +23,9 @@ def quoted(setup: str) -> str:
 
 
 def setup_parts(text: str, shapes: Collection[str] = ()) -> tuple[str, str, str]:
-    """Return setup, shape and campaign of the text after the name of a dial's effect.
-
-    Args:
-        text: a setup's name, quoted as by :func:`quoted` or not, with its suffixes.
-        shapes: names of the shapes that the effect has for each setup.
+    """Return setup, shape and campaign of the text after the name of a dial's effect: a setup's
+    name, quoted as by :func:`quoted` or not, with its suffixes. The effect has ``shapes`` for each
+    setup.
     """
     if match := _SETUP.fullmatch(text):
         return match[1].replace('""', '"'), match[2] or "", match[3] or ""

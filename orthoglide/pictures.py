@@ -122,17 +122,11 @@ def joint_mark(
     both: bool = False,
     both_bars: bool = False,
 ) -> Mark:
-    """Return the mark of one virtual joint.
+    """Return the mark of one virtual joint of a leg by its displacement, SI, at travels ``(k,)``
+    from mechanical zero, metres.
 
-    Args:
-        machine: the machine.
-        leg: 0, 1 or 2.
-        joint: name of the joint within the leg.
-        travel: travel from mechanical zero ``(k,)``, metres.
-        curve: displacement at these travels ``(k,)``, SI.
-        size: size in words, to which the direction is added.
-        both: whether it moves both ways.
-        both_bars: whether both bars move equally.
+    The direction is added to the size in words; ``both``: whether the joint moves both ways;
+    ``both_bars``: whether both bars move equally.
     """
     part, axis = _PARTS[joint]
     k = largest(np.abs(curve))

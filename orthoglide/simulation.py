@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -190,16 +190,12 @@ def invisible_parameters(machine: Machine, sheet: Readings) -> dict[str, str]:
     varied, reasons = varied_conditions(machine, sheet), dict[str, str]()
     for name, value in machine.values.items():
         missing = machine.catalogue.effect_of(name).needs - varied
+        columns = [_CONDITION_COLUMNS[n] for n in sorted(missing) if n in _CONDITION_COLUMNS]
         if value and missing:
-            reasons[name] = _missing_conditions(missing)
+            reasons[name] = f"the sheet does not vary {' and '.join(columns)}"
+        if value and "pitch" in missing:
+            reasons[name] = "the machine file gives no screw_pitch_mm"
     return reasons
-
-
-def _missing_conditions(needs: Collection[str]) -> str:
-    if "pitch" in needs:
-        return "the machine file gives no screw_pitch_mm"
-    columns = [_CONDITION_COLUMNS[n] for n in sorted(needs) if n in _CONDITION_COLUMNS]
-    return f"the sheet does not vary {' and '.join(columns)}"
 
 
 @contextmanager

@@ -28,7 +28,7 @@ class Unit(NamedTuple):
     @property
     def spoken(self) -> Unit:
         """The unit of reports: milliradians, percent."""
-        factor, name = display_unit(self.name)
+        factor, name = _DISPLAY_UNITS.get(self.name, (1.0, self.name))
         return Unit(name, self.si / factor)
 
 
@@ -39,11 +39,6 @@ _DISPLAY_UNITS = {
     "1/K": (1e6, "µm/(m K)"),
     "1/s": (3600e6, "µm/(m h)"),
 }
-
-
-def display_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from a unit of files to the unit of reports, and the latter's name."""
-    return _DISPLAY_UNITS.get(unit, (1.0, unit))
 
 
 NOISE_LIMITS = (1e-9, 1e-3)

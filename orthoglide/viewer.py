@@ -84,12 +84,8 @@ class MagnifiedMachine:
 
 
 def show(machine: MagnifiedMachine, rho: Array, *, open_browser: bool = False) -> Any:
-    """Return Pinocchio's ``MeshcatVisualizer`` with a machine, animated along each axis.
-
-    Args:
-        machine: the machine with magnified errors.
-        rho: command ``(3,)``, metres.
-        open_browser: whether to open a browser at the viewer's address.
+    """Return Pinocchio's ``MeshcatVisualizer`` with a machine at a command ``(3,)``, metres,
+    animated along each axis.
 
     Raises:
         InputError: if meshcat is not installed, or the loops do not close with errors this large.
@@ -173,23 +169,26 @@ def _set_camera(viewer: Any, azimuth: float) -> None:
 
 
 def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
-    """Return meshcat's static page of a viewer: one file that needs no network.
-
-    Args:
-        viewer: the viewer from :func:`show`.
-        machine: the machine in it.
-        title: title of the page.
+    """Return meshcat's static page of a viewer from :func:`show`: one file that needs no
+    network.
     """
     head = (
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<meta http-equiv="Content-Security-Policy" content="{_CONTENT_SECURITY_POLICY}">'
         f"<title>{escape(title)}</title>"
     )
+    red, green, blue = machine.model.geometry.leg_names
+    scale = f"Errors are drawn {machine.factor:g} times as large as they are."
+    errors = f"{scale} Grey: the nominal machine." if machine.factor > 1 else "True to scale."
+    caption = (
+        f"{errors} Carriages: {red} red, {green} green, {blue} blue. Drag to turn. Under Open "
+        f"Controls, Animations, the tool moves along x, y and z."
+    )
     foot = (
         '<p style="position:fixed;left:0;bottom:0;margin:0;padding:.5rem .8rem;'
         "background:rgba(255,255,255,.85);color:#1f2a33;font:.875rem/1.4 'Segoe UI','Noto Sans',"
         f"'DejaVu Sans',Arial,sans-serif\"><strong>{escape(title)}</strong> "
-        f"{escape(_caption(machine))}</p>"
+        f"{escape(caption)}</p>"
     )
     page = textwrap.dedent(viewer.viewer.static_html()).strip()
     if "<title>MeshCat</title>" not in page or "</body>" not in page:
@@ -197,14 +196,3 @@ def static_page(viewer: Any, machine: MagnifiedMachine, title: str) -> str:
     page = page.replace("<title>MeshCat</title>", head, 1)
     before, body, after = page.rpartition("</body>")
     return f"{before}{foot}{body}{after}\n"
-
-
-def _caption(machine: MagnifiedMachine) -> str:
-    """Return the words below the scene."""
-    red, green, blue = machine.model.geometry.leg_names
-    scale = f"Errors are drawn {machine.factor:g} times as large as they are."
-    errors = f"{scale} Grey: the nominal machine." if machine.factor > 1 else "True to scale."
-    return (
-        f"{errors} Carriages: {red} red, {green} green, {blue} blue. Drag to turn. Under Open "
-        f"Controls, Animations, the tool moves along x, y and z."
-    )

@@ -28,7 +28,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"prediction"}),
     frozenset({"viewer"}),
     frozenset({"machine"}),
-    frozenset({"accuracy", "as_pinocchio", "transmission"}),
+    frozenset({"accuracy", "as_pinocchio"}),
     frozenset({"control", "pictures"}),
     frozenset({"result"}),
     frozenset({"figures"}),
@@ -315,7 +315,7 @@ def test_no_other_module_tests_the_kind_of_a_reading() -> None:
 # Where files of the command line, parts of a drawing or groups of effects have the same word.
 OTHER_MEANINGS = {
     "effects/effect.py", "effects/plates.py", "pictures.py",
-    "report/page.py", "result/request.py", "scene/marks.py",
+    "report/page.py", "result/request.py", "scene/drawing.py",
     "scene/parts.py",
     "firmware/klipper/heights.py",
 }  # fmt: skip

@@ -28,7 +28,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import read_campaign
 from orthoglide.progress import Step
-from orthoglide.report.tables import residual_table
+from orthoglide.report.folder import residual_table
 from orthoglide.result import DataFault, DataRival
 from orthoglide.verdict import close_loop
 from tests import rig_campaigns as rc

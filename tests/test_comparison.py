@@ -15,8 +15,7 @@ from click.testing import CliRunner
 from orthoglide import Machine, reduction
 from orthoglide.cli import cli
 from orthoglide.comparison import Row, compare_effects, compare_machine
-from orthoglide.comparison.comparing import PITCH, Comparison, cube
-from orthoglide.comparison.tables import markdown_table, micrometres
+from orthoglide.comparison.comparing import PITCH, Comparison, cube, markdown_table, micrometres
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLeg, FreeLegs

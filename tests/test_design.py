@@ -19,6 +19,7 @@ import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
 from orthoglide.cli.measuring import design as design_command
+from orthoglide.closing import next_measurements as suggested
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.fit import Estimate, Problem, solve, with_free
@@ -34,11 +35,10 @@ from orthoglide.planning import (
     smallest_effects,
     suggest_separating_located_errors,
 )
-from orthoglide.planning.choosing import CombinationPrecision, RivalSeparation
 from orthoglide.planning.designs import Observability
 from orthoglide.planning.detectable import noncentrality, required_separation
-from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.pool import DIAL_TRAVEL
+from orthoglide.planning.linear import CombinationPrecision, LinearReadings, RivalSeparation
+from orthoglide.planning.sheets import DIAL_TRAVEL
 from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, s_curve, simulate, write_csv
@@ -464,8 +464,8 @@ def located(seed: int) -> Any:
     return machine, campaign, studied([campaign], machine)
 
 
-def proposed(verdict: Any) -> list[Any]:
-    return [s for s in verdict.next_measurements if s.aim == "separate"]
+def proposed(outcome: Any) -> list[Any]:
+    return [s for s in suggested(outcome) if s.aim == "separate"]
 
 
 @pytest.mark.thorough

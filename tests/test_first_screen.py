@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from orthoglide.closing import RunOutcome, build_result, fill
-from orthoglide.closing.picture import picture
+from orthoglide.closing.fill import picture
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short
@@ -22,9 +22,8 @@ from orthoglide.layout import LinearDelta
 from orthoglide.numerals import ByUnit
 from orthoglide.parameters import Parameter
 from orthoglide.report.claims import probability_words
-from orthoglide.report.fit_sentences import _rms_change
-from orthoglide.report.page import render_template
-from orthoglide.report.sections import budget
+from orthoglide.report.page import budget, render_template
+from orthoglide.report.rows import _rms_change
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Cause, Explanation, Suspect
 from orthoglide.verdict import Verdict

@@ -10,15 +10,14 @@ import pytest
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import RunOutcome
 from orthoglide.firmware.klipper import Imported, Printer, import_printer
-from orthoglide.firmware.klipper.corrections import (
+from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes
+from orthoglide.firmware.klipper.numbers import (
+    Numbers,
     ResidualChange,
     corrections_of,
     make_paste,
     make_record,
 )
-from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes
-from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.firmware.klipper.provenance import CALIBRATE_AGAIN_KEY
 from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.report import report_files
@@ -185,7 +184,7 @@ def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
-    kept = {**found.machine.provenance["klipper"], CALIBRATE_AGAIN_KEY: True}
+    kept = {**found.machine.provenance["klipper"], "calibrate_again": True}
     spec = parse_machine_file(machine_text(replace(found.machine, provenance={"klipper": kept})))
     verdict = close_loop(list(found.campaigns), Machine(spec))
     assert verdict.actions[0].words.startswith("Run DELTA_CALIBRATE and SAVE_CONFIG")

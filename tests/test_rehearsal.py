@@ -18,15 +18,18 @@ import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.planning.sheets import instrument_sheet
-from orthoglide.rehearsal.outcome import Outcome, Rehearsal, judge_claims, run_campaign
-from orthoglide.rehearsal.random_machines import (
+from orthoglide.rehearsal.outcome import (
     ALL_EFFECTS,
     EFFECT,
     KIND_SEQUENCE,
     KINDS,
     OUTSIDE,
+    Outcome,
+    Rehearsal,
     Scope,
     draw_machine,
+    judge_claims,
+    run_campaign,
 )
 from orthoglide.result import decoded, encoded
 from tests.klipper_files import DATA

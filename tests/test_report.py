@@ -29,8 +29,8 @@ from orthoglide.fit import Estimate
 from orthoglide.layout import LinearDelta
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.report import report_files
-from orthoglide.report.fit_sentences import weak_sentences
 from orthoglide.report.page import finding, render_template
+from orthoglide.report.rows import weak_sentences
 from orthoglide.report.sentences import claim_text, headline
 from orthoglide.result import Request
 from orthoglide.result.fits import WeakDirection

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 import orthoglide as og
-from orthoglide.figures.readings import MAX_DRAWN, _rows_to_draw
+from orthoglide.figures.draw import MAX_DRAWN, _rows_to_draw
 from orthoglide.notes import Note
 from orthoglide.numerals import ByUnit
 from orthoglide.report import result_text

@@ -12,8 +12,7 @@ import sys
 from collections.abc import Iterable
 
 from orthoglide.comparison import Row, compare_effects, worst_by_effect
-from orthoglide.comparison.comparing import EQUAL_WITHIN
-from orthoglide.comparison.tables import LIMITS, markdown_table
+from orthoglide.comparison.comparing import EQUAL_WITHIN, LIMITS, markdown_table
 
 COLUMNS = (
     "effect",

@@ -115,23 +115,18 @@ def _refusals(ctx: click.Context) -> Iterator[None]:
         broken_pipe = isinstance(error, OSError) and error.errno == errno.EPIPE
         if broken_pipe or os.environ.get("ORTHOGLIDE_TRACEBACK"):
             raise  # click ends quietly where the reader of a pipe has left
-        raise _unexpected_refusal(error) from error
-
-
-def _unexpected_refusal(error: Exception) -> Refusal:
-    """Return the refusal for an error that no function of the package raised on purpose."""
-    kind, text = type(error).__name__, abbreviated(str(error), 200)
-    if isinstance(error, OSError):
-        reason = system_reason(error)
-        return Refusal(f"the output cannot be written ({reason}): choose another place", BAD_INPUT)
-    if isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
-        message = f"the numerics failed ({kind}: {text}): look for readings far from all others"
-    else:
-        message = (
-            f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
-            "ORTHOGLIDE_TRACEBACK=1 shows where"
-        )
-    return Refusal(message, NUMERICS_FAILED)
+        kind, text, code = type(error).__name__, abbreviated(str(error), 200), NUMERICS_FAILED
+        if isinstance(error, OSError):
+            message, code = f"the output cannot be written ({system_reason(error)})", BAD_INPUT
+            message += ": choose another place"
+        elif isinstance(error, ArithmeticError | MemoryError) or kind == "LinAlgError":
+            message = f"the numerics failed ({kind}: {text}): look for readings far from all others"
+        else:
+            message = (
+                f"failed unexpectedly ({kind}: {text}), which is a fault of the program: "
+                "ORTHOGLIDE_TRACEBACK=1 shows where"
+            )
+        raise Refusal(message, code) from error
 
 
 @click.group(cls=Group, context_settings={"help_option_names": ["-h", "--help"]})

@@ -73,7 +73,8 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
     from orthoglide.text import sentence
     from orthoglide.verdict import run
 
-    folder = out or _next_free(Path(DEMO_FOLDER))
+    numbered = (Path(f"{DEMO_FOLDER}-{number}") for number in count(2))
+    folder = out or next(p for p in chain([Path(DEMO_FOLDER)], numbered) if not p.exists())
     with_paths = opt.MachineOption(None, None).with_typed_paths
     files, answers, results = dict[str, str | bytes](), list[str](), dict[str, Any]()
     for name, (intro, request) in _demo_requests(seed, files).items():
@@ -92,12 +93,6 @@ def demo(out: Path | None, seed: int, quiet: bool, as_json: bool) -> None:
         answers.append(f"{name}: {result.word}" if quiet else "\n".join(lines))
     answer = (", " if quiet else "\n").join(answers).rstrip("\n")
     deliver(json.dumps(results, indent=1, ensure_ascii=False) if as_json else answer, files, folder)
-
-
-def _next_free(path: Path) -> Path:
-    """Return a path at which nothing exists: the given one, or the next with a number."""
-    numbered = (path.with_name(f"{path.name}-{number}") for number in count(2))
-    return next(free for free in chain((path,), numbered) if not free.exists())
 
 
 def _report_line(folder: Path, page: str = "report.html") -> str:

@@ -123,7 +123,7 @@ def compare(
       orthoglide compare --machine april/calibrated.toml --out comparison
     """
     from orthoglide.comparison import compare_effects, compare_machine, worst_by_effect
-    from orthoglide.comparison.tables import LIMITS, comparison_files, short_table
+    from orthoglide.comparison.comparing import LIMITS, comparison_files, short_table
     from orthoglide.report.terminal import console_text, table
 
     robot = machine.load()

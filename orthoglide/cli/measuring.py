@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +24,10 @@ _kind_option = click.option(
          "at two places of a leg; parallelism: the difference of two dials on a leg at Zero, Max "
          "and Min.",
 )  # fmt: skip
+_OTHER_SHEETS = (
+    "design --owns says what its instruments tell, and rehearse --sheet how often it would find "
+    "what is wrong"
+)
 _INSTRUMENT_KINDS = ("leg (dials), parallelism, tcp, plate, distance, ballbar, incline", "KIND,...")
 
 
@@ -224,6 +227,7 @@ def design(
       orthoglide design --owns plate,distance --machine machine.toml --out sheet.csv
     """
     from orthoglide import planning
+    from orthoglide.observations import protocol
 
     opt.exclude(
         "owns", "sheets", "free", "count", "want", "detect", "noise",
@@ -239,7 +243,10 @@ def design(
         step(Step("computing", "choosing readings"))
         chosen = planning.design(robot, free or None, count, noise=noise)
         step(Step("computing", "comparing"))
-        compared = dict(_sheets_to_compare(robot, sheets))
+        compared = {s.name: s for s in (_dial_sheet(path, robot, _OTHER_SHEETS) for path in sheets)}
+        if not sheets:
+            geometry = robot.geometry
+            compared = {k: protocol(k, geometry) for k in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
         rows = [(name, planning.observability(robot, sheet, chosen.names, noise))
                 for name, sheet in compared.items()]  # fmt: skip
         lines = [planning.index_table([*rows, ("design", chosen.indices)])]
@@ -261,20 +268,6 @@ def design(
         f"{chosen.indices.unknowns} unknowns."
     )
     deliver(line if quiet else wrapped("\n".join([*lines, *sheet_lines])), files)
-
-
-def _sheets_to_compare(machine: Machine, paths: tuple[Path, ...]) -> Mapping[str, Readings]:
-    """Return the given sheets by name; without any, those of the protocols."""
-    from orthoglide.observations import protocol
-
-    if paths:
-        remedy = (
-            "design --owns says what its instruments tell, and rehearse --sheet how often it would "
-            "find what is wrong"
-        )
-        sheets = [_dial_sheet(path, machine, remedy) for path in paths]
-        return {sheet.name: sheet for sheet in sheets}
-    return {kind: protocol(kind, machine.geometry) for kind in opt.DIAL_PROTOCOLS}  # type: ignore[arg-type]
 
 
 def _design_for_instruments(

@@ -218,8 +218,12 @@ def exclude(option: str, *others: str, because: str) -> None:
     """Refuse options, by their names in Python, that have no effect together with another one;
     ``because`` is the reason.
     """
-    context = click.get_current_context()
-    texts = {p.name: _option_text(p) for p in context.command.params}
+    context, texts = click.get_current_context(), dict[str | None, str]()
+    for parameter in context.command.params:
+        texts[parameter.name] = max(parameter.opts, key=len)
+        if isinstance(parameter, click.Argument):
+            metavar = parameter.metavar or parameter.human_readable_name
+            texts[parameter.name] = metavar.strip("[] .")
 
     def given(name: str) -> bool:
         typed = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
@@ -227,10 +231,3 @@ def exclude(option: str, *others: str, because: str) -> None:
 
     for other in filter(given, others if given(option) else ()):
         raise InputError(f"{texts[option]} and {texts[other]} exclude each other: {because}")
-
-
-def _option_text(parameter: click.Parameter) -> str:
-    """Return a parameter as it is written on the command line."""
-    if isinstance(parameter, click.Argument):
-        return (parameter.metavar or parameter.human_readable_name).strip("[] .")
-    return max(parameter.opts, key=len)

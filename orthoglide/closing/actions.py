@@ -1,14 +1,16 @@
-"""What to do about a machine."""
+"""What to do about a machine, and what to measure next."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
 
+from orthoglide import planning
 from orthoglide.accuracy import best_zeros, expected_gain, lack_of_gain
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.control import withholding_reason
@@ -21,7 +23,58 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning import Suggestion
 from orthoglide.result import Action, Cause, Located, Suspect, Withheld
-from orthoglide.text import lower_first
+from orthoglide.text import MACHINE_OPTION, lower_first
+
+_MOST_RIVALS = 6  # single causes between which readings are proposed; pairs grow by the square
+
+
+def next_measurements(outcome: RunOutcome) -> tuple[Suggestion, ...]:
+    """Return the readings to take next, most useful first; none after ``identify``.
+
+    Readings that distinguish a data fault from a less probable cause come first.
+    """
+    if not outcome.request.searches:
+        return ()
+    geometry, posterior = outcome.request.machine.geometry, outcome.posterior
+    inconclusive, lack_of_fit = not outcome.stands, outcome.lack_of_fit
+    largest = lack_of_fit.by_instrument[:1] if inconclusive else []
+    at_residual = [*map(planning.suggest_repeating, largest)]
+    first: list[Suggestion] = []
+    later: list[Suggestion] = []
+    by_place: list[Suggestion] = []
+    separating: Iterable[Suggestion] = ()
+    if posterior is not None:
+        credible_sets = [(c.chosen.probability, c.data) for c in outcome.effects]
+        credible_sets += [(c.members[0].probability, c.data) for c in outcome.located]
+        for probability, faults in credible_sets:
+            if faults:
+                visits = first if faults[0].probability > probability else later
+                visits.append(planning.suggest_deciding_visits(posterior, faults[0]))
+        for located in outcome.located:
+            by_place += planning.suggest_separating_located_errors(posterior, located)
+        if not geometry.dialled:
+            separating = planning.suggest_instruments_for_causes(posterior, outcome.effects)
+    if not geometry.dialled:  # sheets of instruments have a placeholder for the machine's file
+        option, texts = outcome.request.machine_option, ("reason", "what")
+        return tuple(
+            replace(s, **{n: getattr(s, n).replace(MACHINE_OPTION, option) for n in texts})
+            for s in (*first, *separating, *by_place, *at_residual, *later)
+        )
+    rival_sets = [(c.chosen, *c.rivals) for c in outcome.effects if c.rivals]
+    rivals, pairs = list[tuple[str, Mapping[str, float]]](), list[tuple[int, int]]()
+    motions = outcome.after.problem.machine.catalogue.motions
+    for rival_set in rival_sets or [outcome.alone[:_MOST_RIVALS]]:  # pairs only within a set
+        pairs += combinations(range(len(rivals), len(rivals) + len(rival_set)), 2)
+        # Free-form errors, which the catalogue lacks, are nearly the same with every rival.
+        rivals += [
+            (e.name, {n: v for n, v in e.machine.items() if n in motions}) for e in rival_set
+        ]
+    separating = planning.next_measurements(outcome.after, rivals, pairs=pairs, directions=())
+    narrowing = planning.next_measurements(outcome.before)
+    if inconclusive and lack_of_fit.dials_hold_most:
+        at_residual = [planning.suggest_tracing(lack_of_fit.by_dial[0], geometry)]
+    return (*first, *at_residual, *later, *separating, *by_place, *narrowing)
+
 
 _FILES_OUTDATED = (
     "numbers and commands from files older than {} are no longer valid: use those of this result"
@@ -43,12 +96,7 @@ _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's 
 def actions(
     outcome: RunOutcome, suggestions: Sequence[Suggestion], sheet: Readings | None
 ) -> tuple[Action, ...]:
-    """Return what to do, largest expected gain first.
-
-    Args:
-        outcome: of the search.
-        suggestions: readings to take next.
-        sheet: the suggested readings as one sheet; ``None`` if there are none.
+    """Return what to do, largest expected gain first; ``sheet`` has the suggested readings.
 
     The gain of compensated commands is their gain over the best zeros. Measurements come first if
     the verdict depends on them. Nothing is to be entered or repaired if the verdict warns against

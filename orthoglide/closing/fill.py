@@ -2,35 +2,43 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from itertools import accumulate, chain
 from typing import Any, Literal, TypeVar
 
+import numpy as np
+
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
-from orthoglide.closing.actions import actions, not_advised
+from orthoglide.closing.actions import actions, next_measurements, not_advised
 from orthoglide.closing.outcome import RunOutcome
-from orthoglide.closing.picture import picture
-from orthoglide.closing.suggesting import next_measurements
+from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
+from orthoglide.effects.words import toward
 from orthoglide.errors import NumericsError
 from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.free_form import only_surface_readings
-from orthoglide.fit import CrossCheck, Estimate, solve
+from orthoglide.fit import Estimate, solve
 from orthoglide.fit.assembling import excited_effects, unmet_conditions, with_free
 from orthoglide.fit.estimate import fitted_readings
 from orthoglide.fit.noise_notes import noise_scales
+from orthoglide.geometry import LEGS
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
-from orthoglide.notes import Note
+from orthoglide.numerals import compact
 from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
-from orthoglide.planning import Suggestion, next_sheet
+from orthoglide.pictures import dials, joint_mark, option
+from orthoglide.planning import next_sheet
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
+    Curve,
     Fit,
     Noise,
+    Picture,
     Possible,
     Proposal,
     Result,
@@ -40,7 +48,68 @@ from orthoglide.result import (
     encoded,
     fits,
 )
+from orthoglide.scene import Mark, Option
 from orthoglide.threads import on_one_thread
+
+
+def picture(outcome: RunOutcome) -> Picture:
+    """Return the drawing of the machine with the findings marked, or with the dial of the largest
+    residual.
+    """
+    machine = outcome.before.problem.machine.with_only({})
+    posed = machine.posed()
+    groups: list[list[Option]] = []  # one for each finding, most probable option first
+    for cause in outcome.effects:
+        causes = [option(machine, e.words, e.values) for e in cause.explanations]
+        groups.append([*causes, *(_located_option(machine, c) for c in cause.places)])
+    groups += [[_located_option(machine, c) for c in f.members] for f in outcome.located]
+    groups += [_change_options(machine, change) for change in outcome.moved]
+    dials_hold_most = outcome.lack_of_fit.dials_hold_most
+    if outcome.word == "unexplained" and dials_hold_most and outcome.request.searches:
+        groups.append([_residual_option(outcome)])
+    first_shown = accumulate([len(group) for group in groups[:-1]], initial=0) if groups else ()
+    mounted_dials = dials(posed, outcome.after.problem.campaigns)
+    return Picture(posed, mounted_dials, tuple(chain(*groups)), tuple(first_shown))
+
+
+def _change_options(machine: Machine, change: Change) -> list[Option]:
+    """Return the parameters that may have changed, each marked on its part."""
+    options = []
+    members = zip(change.member_clauses, change.change_by_member.items(), strict=True)
+    for words, (name, difference) in members:
+        drawn = option(machine, words, {name: difference} if math.isfinite(difference) else {})
+        marks = (replace(m, label=m.label and f"changed by {m.label}") for m in drawn.marks)
+        options.append(replace(drawn, marks=tuple(marks)))
+    return options
+
+
+def _located_option(machine: Machine, curve: Curve) -> Option:
+    """Return a located error with the mark of its joint, which moves by the curve found."""
+    place: FreeForm = curve.place
+    size = curve.size_words
+    if place.of_dial:
+        return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
+    if place.moves_bar_ends:
+        direction = np.eye(3)[LEGS.index(place.direction)]
+        return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
+    # A curve without a sign runs to both sides of its line.
+    both, along = curve.loses or not place.is_signed, place.against == "travel"
+    bars = len(place.joints) > 1
+    value = curve.value if along else np.full(len(curve.at), curve.size)
+    travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))
+    joint = place.joints[0][0]
+    mark = joint_mark(machine, place.leg, joint, travel, value, size, both, bars)
+    return Option(place.words, (mark,))
+
+
+def _residual_option(outcome: RunOutcome) -> Option:
+    largest = outcome.lack_of_fit.by_dial[0]
+    direction = np.eye(3)[largest.axis] * np.sign(largest.most)
+    way = toward(LEGS[largest.axis], largest.most)
+    size = f"{compact(abs(largest.most) * 1e3, 2)} mm toward {way}"
+    words = f"the residual is largest on leg {LEGS[largest.leg]}: {size}"
+    return Option(words, (Mark("dial", largest.leg, direction, size, setup=largest.setup),))
+
 
 _ROUNDING = 1e-12
 """Metres: smaller differences of two derivations are rounding, which depends on the processor."""
@@ -68,19 +137,42 @@ def _result_values(outcome: RunOutcome) -> Result:
     suggestions, posterior = next_measurements(outcome), outcome.posterior
     sheet = next_sheet(suggestions)
     unseen, invisible = _unseen(outcome)
+    problem, check = after.problem, base.check
+    warnings, machine = list(after.warnings), outcome.request.machine
+    if (printer := machine.spec.printer) is not None:
+        warnings += printer.assumptions(machine, outcome.effects)
+    predicted = base.predicted_before, base.predicted, after.predicted
+    if check is not None:
+        differences = ("reduction", "linear", "linear_size")
+        check = replace(check, **{n: max(getattr(check, n), _ROUNDING) for n in differences})
+    noise, (first_noise, *_) = problem.noise_by_instrument, problem.noise_by_instrument.values()
     return _value_of(
         Result,
         outcome,
-        noise=_noise(outcome),
+        noise=Noise(problem.declared_noise, problem.single_reading_sd, first_noise.source, noise),
         nominal=base.nominal,
         before=_value_of(Fit, base),
         after=_value_of(Fit, after),
-        rms_of_all=outcome.first_fit.scores.rms,
-        changed=tuple(map(_change_value, outcome.changed)),
+        rms_of_all=(outcome.fit_with_faults or base).scores.rms,
+        changed=tuple(
+            _value_of(
+                fits.Change,
+                c,
+                before=c.before / c.unit.si,
+                after=c.after / c.unit.si,
+                sigma=c.sigma / c.unit.si,
+                unit=c.unit.name,
+                each=c.member_clauses,
+            )
+            for c in outcome.changed
+        ),
         weak=after.weak,
-        check=base.check and _above_rounding(base.check),
+        check=check,
         verification=after.verification,
-        next_measurements=tuple(map(_proposal, suggestions)),
+        next_measurements=tuple(
+            _value_of(Proposal, s, readings=s.rows, other_instrument=s.pool is None)
+            for s in suggestions
+        ),
         sheet=() if sheet is None else tuple(campaign_rows(sheet)),
         left=outcome.lack_of_fit,
         actions=actions(outcome, suggestions, sheet),
@@ -89,26 +181,15 @@ def _result_values(outcome: RunOutcome) -> Result:
         invisible=invisible,
         unseen=unseen,
         instruments={k: o.instrument_phrase for k, o in OBSERVATIONS.items() if k in kinds},
-        warnings=_warnings(outcome),
+        warnings=tuple(w for w in warnings if w.kind != "lack_of_fit"),  # the verdict reports it
         calibrated_before=base.problem.has_earlier_calibration,
         shapes_of_plate=posterior is not None and bool(posterior.mixture.linear.plate_shapes.any()),
-        readings=fitted_readings(
-            after.problem,
-            base.predicted_before,
-            base.predicted,
-            after.predicted,
-            outcome.request.given,
-        ),
+        readings=fitted_readings(problem, *predicted, outcome.request.given),
         withheld=not_advised(outcome),
         possible=tuple(_possible_causes(outcome)),
         noise_by_setup=tuple(_noise_by_setup(after)),
         compared=(),
     )
-
-
-def _above_rounding(check: CrossCheck) -> CrossCheck:
-    names = ("reduction", "linear", "linear_size")
-    return replace(check, **{name: max(getattr(check, name), _ROUNDING) for name in names})
 
 
 def _workspace(before: Estimate, posterior: FullPosterior, calibrated: Machine) -> Workspace:
@@ -125,21 +206,6 @@ def _workspace(before: Estimate, posterior: FullPosterior, calibrated: Machine) 
         sure_before=base_map.uncertainty,
         sure=calibrated_map.uncertainty,
     )
-
-
-def _warnings(outcome: RunOutcome) -> tuple[Note, ...]:
-    """Return the warnings of the last fit except lack of fit, which the verdict reports."""
-    machine, warnings = outcome.request.machine, list(outcome.after.warnings)
-    if (printer := machine.spec.printer) is not None:
-        warnings += printer.assumptions(machine, outcome.effects)
-    return tuple(w for w in warnings if w.kind != "lack_of_fit")
-
-
-def _noise(outcome: RunOutcome) -> Noise:
-    problem = outcome.after.problem
-    by_instrument = problem.noise_by_instrument
-    source = next(iter(by_instrument.values())).source
-    return Noise(problem.declared_noise, problem.single_reading_sd, source, by_instrument)
 
 
 def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
@@ -159,13 +225,6 @@ def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:
     for noise in noise_scales(fit):
         file, setup = source(noise.readings), noise.setup
         yield SetupNoise(setup.name, file, setup.kind, noise.sigma, noise.scale, noise.scale_sigma)
-
-
-def _proposal(suggestion: Suggestion) -> Proposal:
-    other_instrument = suggestion.pool is None
-    return _value_of(
-        Proposal, suggestion, readings=suggestion.rows, other_instrument=other_instrument
-    )
 
 
 def _unseen(outcome: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
@@ -218,20 +277,8 @@ def _one_sided_reason(
 
 
 def _value_of(cls: type[T], source: object, **others: Any) -> T:
-    """Return an instance of a dataclass of a result.
-
-    Args:
-        cls: the dataclass.
-        source: object with the attributes that are copied under the same names.
-        others: values of all other fields.
+    """Return an instance of a dataclass of a result; fields without a value of their own are copied
+    from the attributes of ``source`` with the same names.
     """
     names = (f.name for f in fields(cls) if f.name not in others)  # type: ignore[arg-type]
     return cls(**{name: getattr(source, name) for name in names}, **others)
-
-
-def _change_value(change: Change) -> fits.Change:
-    si = change.unit.si
-    return _value_of(
-        fits.Change, change, before=change.before / si, after=change.after / si,
-        sigma=change.sigma / si, unit=change.unit.name, each=change.member_clauses,
-    )  # fmt: skip

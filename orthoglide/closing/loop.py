@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
+import numpy as np
+
 from orthoglide.accuracy import tcp_map
-from orthoglide.closing.judging import held_out_rms, points_contradiction, tcp_errors
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.explanation import (
     CredibleSets,
@@ -34,14 +35,117 @@ from orthoglide.explanation.ranked_readings import check_drive_order
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
+from orthoglide.fit.least_squares import linearise, nuisances
+from orthoglide.fit.noise import rms_by_unit
 from orthoglide.fit.plausible import check_plausible
+from orthoglide.fit.scores import FittedRows
+from orthoglide.geometry import Array, align_points
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
+from orthoglide.numerals import SIGMAS_95, ByUnit, compact, distinct_figures
 from orthoglide.observations import Readings
+from orthoglide.observations.readings import Points
 from orthoglide.observations.tables import shared_fraction
+from orthoglide.prediction import Conditions
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import HoldOut, LackOfFit, Request, Word
+from orthoglide.result import HoldOut, LackOfFit, Request, TcpErrors, Word
 from orthoglide.threads import on_one_thread
+
+_MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
+
+
+def held_out_rms(
+    values: Mapping[str, float],
+    machine: Machine,
+    held: Sequence[Readings],
+    per_campaign: Sequence[str] = (),
+) -> ByUnit:
+    """Return the root mean square residual of readings that a machine was not fitted to; ``values``
+    are its parameters, SI.
+
+    Parameters specific to a campaign, its datums and its placements (of the tool's instruments all
+    parameters of a setup) are fitted to the campaign itself, each time without the reading scored.
+    """
+    machine_values = machine.catalogue.machine_values(values)
+    free = per_campaign or machine.catalogue.base
+    problem = assemble(held, machine.with_only(machine_values), free)
+    if per_campaign:
+        rows = solve(problem, method="nested").rows
+    else:
+        problem = replace(problem, unknowns=(), held=(machine_values,) * len(problem.factors))
+        linearised = linearise(problem, np.zeros(0))
+        nuisance = nuisances(problem, linearised.reading_poses)
+        rows = FittedRows.from_fit(problem, nuisance, linearised)
+    share = 1 - rows.leverage  # of the residual of a reading that its own fit leaves
+    return rms_by_unit(rows.residual / np.where(share > 1e-6, share, np.nan), problem.angular)
+
+
+def points_contradiction(errors: TcpErrors, stated_sigma: Array, points: Points) -> str:
+    """Return how measured points contradict the machine both with and without the finding, a
+    clause; empty if they do not, or if their accuracy is unknown. The errors are after the best
+    translation; ``stated_sigma`` is that of the calibrated machine ``(n, 3)``, metres.
+    """
+    declared_sigma = _declared_sigma(points)
+    if not declared_sigma.any():
+        return ""
+    expected = float(np.sqrt(np.mean(np.sum(stated_sigma**2 + declared_sigma**2, axis=1))))
+    if min(errors.before_mean, errors.after_mean) < _MAX_ERROR_RATIO * expected:
+        return ""
+    before, after = distinct_figures(errors.before_mean * 1e3, errors.after_mean * 1e3)
+    return (
+        f"the measured points fit this result neither with nor without what was found: the tool is "
+        f"{after} and {before} mm off, where {compact(expected * 1e3, 2)} mm are to be expected; "
+        f"look for what moved, or check the frame and the sigma of the points"
+    )
+
+
+def _declared_sigma(points: Points) -> Array:
+    """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 without one."""
+    return np.nan_to_num(points.sigma)[:, None]
+
+
+def tcp_errors(
+    machine: Machine,
+    given: Readings,
+    before: Mapping[str, float],
+    after: Mapping[str, float],
+    sigma: Array | None = None,
+) -> dict[str, TcpErrors]:
+    """Return errors at TCP points by alignment: none, the best translation, a rigid motion.
+
+    ``before`` and ``after`` are parameters, SI; ``sigma`` is the standard deviation for ``after``,
+    best translation removed ``(n, 3)``, metres, to which that of the points is added.
+    """
+    points = given.points()
+    conditions = Conditions.from_commands(points.command, approach=points.approach)
+    errors, declared_sigma = {}, _declared_sigma(points)
+    predicted = {
+        name: machine.model.outputs(values, conditions).p
+        for name, values in (("nominal", {}), ("before", before), ("after", after))
+    }
+    for fit in ("none", "translation", "rigid"):
+        figures, inside = {}, float("nan")
+        for name, p in predicted.items():
+            difference = _aligned(p, points.p, fit) - points.p
+            distance = np.sqrt(np.nansum(difference**2, axis=1))
+            figures[f"{name}_mean"] = float(distance.mean())
+            figures[f"{name}_max"] = float(distance.max())
+        if sigma is not None and fit == "translation":  # of `after`, the last
+            within = np.abs(difference) <= SIGMAS_95 * np.hypot(sigma, declared_sigma)
+            inside = float(np.mean(within[np.isfinite(difference)]))
+        errors[fit] = TcpErrors(**figures, inside=inside)
+    return errors
+
+
+def _aligned(p: Array, measured: Array, fit: str) -> Array:
+    """Return predicted points aligned with the measured ones, as ``fit`` says."""
+    if fit == "none":
+        return p
+    complete = np.isfinite(measured).all(axis=1)
+    if fit == "translation" or complete.sum() < 3:
+        return p + np.nanmean(measured - p, axis=0)
+    return align_points(p, p[complete], measured[complete])
+
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
 
@@ -93,23 +197,19 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         *(c.with_separate_fit(outcome.after) for c in changes),
     )
     change_notes = (Note(text, "earlier") for c in earlier_changes if (text := c.found_only_now))
-    notes = (*change_notes, *findings.notes, *_ambiguous_calibration_note(base_fit))
+    notes = [*change_notes, *findings.notes]
+    clause = ambiguity_clause(machine.spec)
+    if clause and base_fit.problem.has_earlier_calibration:
+        notes.append(Note(
+            f"the earlier calibration {clause}, so changes since then are uncertain; run "
+            f"orthoglide check on the readings of both visits, with the machine file of the first",
+            "earlier",
+        ))  # fmt: skip
     progress(Step("verifying"))
     after = replace(outcome.after, verification=verify(outcome.after))
     outcome = _with_warnings(replace(outcome, changed=changed, after=after), *notes)
     progress(Step("judging"))
     return judge(outcome)
-
-
-def _ambiguous_calibration_note(base_fit: Estimate) -> Iterator[Note]:
-    """Yield a note if an earlier calibration left open which parameter was wrong."""
-    clause = ambiguity_clause(base_fit.problem.machine.spec)
-    if clause and base_fit.problem.has_earlier_calibration:
-        yield Note(
-            f"the earlier calibration {clause}, so changes since then are uncertain; run "
-            f"orthoglide check on the readings of both visits, with the machine file of the first",
-            "earlier",
-        )
 
 
 def _search(
@@ -153,9 +253,11 @@ def _reported_sets(
 ) -> tuple[CredibleSets, Word]:
     """Return the verdict, and the credible sets without those that it does not support."""
     effects = sets.effects if posterior.converged else ()
+    before, after = posterior.before.scores, posterior.after.scores
+    explains_most = after.chi2 - after.dof < _MAX_RESIDUAL_SHARE * (before.chi2 - before.dof)
     # If an explanation is missing, the true error is not in the model, and located errors may only
     # imitate it.
-    is_missing = _lacks_explanation(fit_test) and not _explains_most(posterior)
+    is_missing = _lacks_explanation(fit_test) and not explains_most
     sets = replace(sets, effects=effects, located=() if is_missing else sets.located)
     word = _verdict(sets, fit_test)
     # An unexplained residual needs further causes than one on a machine that is sound otherwise.
@@ -163,12 +265,6 @@ def _reported_sets(
     least = 0.0 if word == "unexplained" else EVEN_PROBABILITY
     possible = tuple(one for one in sets.possible if one.probability > least)
     return replace(sets, alone=alone, possible=possible), word
-
-
-def _explains_most(posterior: FullPosterior) -> bool:
-    """Return whether the calibrated machine explains most of the base model's lack of fit."""
-    before, after = posterior.before.scores, posterior.after.scores
-    return after.chi2 - after.dof < _MAX_RESIDUAL_SHARE * (before.chi2 - before.dof)
 
 
 def _exceeds_readjustment(change: Change, machine: Machine) -> bool:
@@ -204,7 +300,8 @@ def judge(outcome: RunOutcome) -> RunOutcome:
     they contradict the stated errors or were fitted too.
     """
     request, machine = outcome.request, outcome.machine
-    before, after = outcome.values_before, outcome.values
+    problem, after = outcome.before.problem, outcome.values
+    before = problem.values(problem.last_factor_index, outcome.before.x)
     scores, errors, notes = None, None, list[str]()
     if held := request.holdout:
         scores = HoldOut(*(held_out_rms(v, machine, held, request.own) for v in (before, after)))

@@ -46,18 +46,7 @@ class RunOutcome(Judged, CredibleSets):
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
 
-    @property
-    def first_fit(self) -> Estimate:
-        """The base fit to all readings, faulty ones included."""
-        return self.fit_with_faults or self.before
-
     # --- The calibrated machine -------------------------------------------------------------
-
-    @cached_property
-    def values_before(self) -> dict[str, float]:
-        """Parameters of the base model's last campaign, dials included, SI."""
-        problem = self.before.problem
-        return problem.values(problem.last_factor_index, self.before.x)
 
     @cached_property
     def machine(self) -> Machine:

@@ -12,6 +12,8 @@ import numpy as np
 from orthoglide import reduction
 from orthoglide.arguments import public
 from orthoglide.errors import InputError, NumericsError, check_integer, check_list
+from orthoglide.figures import style
+from orthoglide.figures.draw import draw_levels
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.mechanism.perfect_legs import Spheres, commands
@@ -108,18 +110,6 @@ def worst_by_effect(rows: Sequence[Row]) -> tuple[Row, ...]:
     )
 
 
-def visit_conditions(rho: Array) -> Conditions:
-    """Return the conditions ``(2 n,)`` of the two visits to commands ``(n, 3)``."""
-    late = np.repeat([0.0, 1.0], len(rho))
-    return Conditions.from_commands(
-        np.tile(rho, (2, 1)),
-        approach=np.tile(1.0 - 2.0 * late[:, None], 3),
-        time=late * DURATION,
-        warming=late * WARMING,
-        load=LOAD,
-    )
-
-
 def cube(geometry: Geometry) -> tuple[float, float]:
     """Return the ends, along every axis, of the largest cube of TCP points that the strokes reach,
     metres.
@@ -158,7 +148,11 @@ class Comparison:
         places = grid(self.geometry, check_integer("points", points, 2))
         self.p = np.tile(places, (2, 1))
         rho = commands(Spheres.of_geometry(self.geometry), places)
-        self.conditions = visit_conditions(rho)
+        late = np.repeat([0.0, 1.0], len(rho))  # of the two visits
+        self.conditions = Conditions.from_commands(
+            np.tile(rho, (2, 1)), approach=np.tile(1.0 - 2.0 * late[:, None], 3),
+            time=late * DURATION, warming=late * WARMING, load=LOAD,
+        )  # fmt: skip
         zero = intersect_spheres(self.geometry.centres, self.geometry.L)
         self.mode: Mode = "machine" if np.abs(zero).max() < EQUAL_WITHIN else "other"
 
@@ -187,28 +181,24 @@ class Comparison:
         """Return offsets and lengths ``(6,)`` fitted to the TCP by least squares."""
         return _least_squares(lambda six: (self.reduction_tcp(six) - p).ravel())
 
-    def difference(self, differences: Array) -> Difference:
-        """Return mean and largest value of differences ``(2 n, 3)`` over the workspace."""
-        size = np.linalg.norm(differences, axis=1)
-        return Difference(float(size.mean()), float(size.max()))
-
     def row(self, name: str, value: float, values: Mapping[str, float]) -> Row:
         """Return the comparison for parameters ``values``; name and value are for the table."""
         tcp, rotation = self.mechanism_tcp(values)
         six = self.fit_tcp(tcp)
         effect = None if np.isnan(value) else self.machine.catalogue.effect_of(name)
-        nominal, left = tcp - self.p, tcp - self.reduction_tcp(six)
+        nominal = np.linalg.norm(tcp - self.p, axis=1)
+        left = np.linalg.norm(tcp - self.reduction_tcp(six), axis=1)
         return Row(
             name=name,
             effect=effect.name if effect else "",
             unit=effect.unit if effect else ONE,
             value=value,
-            nominal=self.difference(nominal),
-            fitted=self.difference(left),
+            nominal=Difference(float(nominal.mean()), float(nominal.max())),
+            fitted=Difference(float(left.mean()), float(left.max())),
             six=tuple(six.tolist()),
             rotation=rotation,
             at=self.p[: len(left) // 2],
-            difference=np.linalg.norm(left, axis=1).reshape(2, -1).max(axis=0),
+            difference=left.reshape(2, -1).max(axis=0),
             **(self._reading_figures(values) if self.geometry.dialled else {}),
         )
 
@@ -303,3 +293,95 @@ def compare_machine(machine: MachineSource, points: int = POINTS) -> tuple[Row, 
     values = {n: value for n, value in machine.values.items() if value and not effect_of(n).of_body}
     single_rows = (comparison.row(name, value, {name: value}) for name, value in values.items())
     return (comparison.row("machine", float("nan"), values), *single_rows)
+
+
+_UM = 1e6
+
+LIMITS = (
+    f"The simplified model will do where, after its six parameters are fitted, the TCP is nowhere "
+    f"more than {TCP_LIMIT * _UM:g} µm and the readings no more than {READING_LIMIT * _UM:g} µm "
+    f"rms from the mechanism."
+)
+"""When the simplified model will do."""
+
+_LEGEND = (
+    "Differences once the six parameters are fitted, turns of the platform in µrad; up to: the "
+    "largest size at which the simplified model will do, by proportion."
+)
+_NOT_READ = " Readings are not compared: dials are set against the legs of an Orthoglide alone."
+
+
+def micrometres(value: float) -> str:
+    """Return a length in micrometres, three digits at most; below a nanometre it counts as 0."""
+    um = abs(value) * _UM
+    if um < 1e-3:
+        return "0"
+    return f"{um:.{max(0, min(2, 2 - math.floor(math.log10(um))))}f}"
+
+
+def _size_text(row: Row, value: float, machine: str) -> str:
+    if math.isnan(value):
+        return machine
+    if math.isinf(value):
+        return "any"
+    return f"{value / row.unit.si:.2g}" + row.unit.behind
+
+
+_OF_READINGS = "readings differ, rms, µm"
+_COLUMNS: dict[str, Callable[[Row], str]] = {
+    "effect": lambda row: row.name,
+    "size": lambda row: _size_text(row, row.value, "all"),
+    "TCP differs, max, µm": lambda row: micrometres(row.fitted.max),
+    "platform turns": lambda row: micrometres(row.rotation),
+    _OF_READINGS: lambda row: micrometres(row.reading_rms),
+    "will do": lambda row: "yes" if row.good_enough else "no",
+    "up to": lambda row: _size_text(row, row.value and row.good_up_to, "–"),
+}
+_SHORT = ("effect", "TCP differs, max, µm", _OF_READINGS, "will do")
+
+
+def short_table(
+    rows: Sequence[Row], columns: Iterable[str] = _SHORT
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return heads and rows of a table, by default for the terminal; that of readings only where
+    some were compared.
+    """
+    read = any(row.read for row in rows)
+    heads = tuple(head for head in columns if read or head != _OF_READINGS)
+    return heads, [tuple(_COLUMNS[head](row) for head in heads) for row in rows]
+
+
+def markdown_table(rows: Sequence[Row], columns: Iterable[str] = tuple(_COLUMNS)) -> str:
+    """Return the table in Markdown, turns of the platform in microradians."""
+    heads, cells = short_table(rows, columns)
+    names = [f"`{name.replace('|', '/')}`" for name, *_ in cells]
+    lines = [heads, *((name, *row[1:]) for name, row in zip(names, cells, strict=True))]
+    text = ["| " + " | ".join(line) + " |" for line in lines]
+    text.insert(1, "|" + "---|" * len(heads))
+    return "\n".join(text) + "\n"
+
+
+def comparison_files(
+    machine: Machine,
+    whole: Sequence[Row],
+    rows: Sequence[Row],
+    drawn: Sequence[Row] = (),
+) -> dict[str, str]:
+    """Return the files of a comparison's folder by name: the rows of the whole machine and of every
+    effect, and figures of those in ``drawn`` that the reduction cannot follow.
+    """
+    legend = f"{LIMITS} {_LEGEND}{'' if any(row.read for row in (*whole, *rows)) else _NOT_READ}"
+    text = f"# When the simplified model is good enough\n\n{legend}\n"
+    if whole:
+        title = f"{machine.spec.title}: all it has, and each alone"
+        text += f"\n## {title}\n\n{markdown_table(whole)}"
+    if rows:
+        text += f"\n## Every effect at its tolerance\n\n{markdown_table(rows)}"
+    files = {"table.md": text}
+    for row in drawn:
+        if not row.effect or (not row.good_enough and row.fitted.max > 0):
+            shown = [(f"{row.name}, µm", row.difference * _UM, style.FIT)]
+            title = f"{row.name}: difference at the TCP over the workspace, µm"
+            drawing = draw_levels(row.name, title, shown, row.at, "{} of the TCP")
+            files[f"figures/{row.name}.svg"] = drawing.svg
+    return files

@@ -130,20 +130,20 @@ def calibrated_mjcf(machine: MachineSource) -> str:
 
 
 def constant_geometry(machine: Machine) -> dict[str, float]:
-    """Return the parameters that are constant geometry, SI: places and directions of joints."""
-    return {n: v for n, v in machine.values.items() if _is_constant(machine, n)}
-
-
-def _is_constant(machine: Machine, name: str) -> bool:
-    """Return whether a parameter displaces joints by a constant, or tilts straight paths."""
-    if machine.catalogue.effect_of(name).needs:
-        return False
+    """Return the parameters that are constant geometry, SI: they displace joints by a constant, or
+    tilt straight paths.
+    """
     along = machine.geometry.zero + np.array([[-_PROBE], [0.0], [_PROBE]])
-    moves = machine.model.displacements({name: 1.0}, Conditions.from_commands(along))
-    low, middle, high = moves.reshape(3, 3, -1)
-    curved = np.abs(low - 2 * middle + high) > 1e-12
-    lateral = np.isin(VIRTUAL_NAMES, _LATERAL)
-    return not (curved | ((high != low) & ~lateral)).any()
+    conditions, lateral = Conditions.from_commands(along), np.isin(VIRTUAL_NAMES, _LATERAL)
+    constant = {}
+    for name, value in machine.values.items():
+        if not machine.catalogue.effect_of(name).needs:
+            moves = machine.model.displacements({name: 1.0}, conditions)
+            low, middle, high = moves.reshape(3, 3, -1)
+            curved = np.abs(low - 2 * middle + high) > 1e-12
+            if not (curved | ((high != low) & ~lateral)).any():
+                constant[name] = value
+    return constant
 
 
 def _leg_displacements(machine: Machine) -> dict[str, tuple[dict[str, float], Array]]:

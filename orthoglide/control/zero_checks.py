@@ -81,18 +81,11 @@ class ZeroCheck:
             "drives_moving": self.way or None,
         }
 
-    @property
-    def moves(self) -> ShownPositions:
-        """How far each axis goes from Zero to the posture, as the controller counts, metres."""
-        x, y, z = (p - z for p, z in zip(self.at_posture, self.at_zero, strict=True))
-        return x, y, z
-
     def __str__(self) -> str:
         arriving = f", come to both with all axes moving {self.way}" if self.way else ""
-        moves, right, wrong = (
-            ", ".join(signed(v * 1e3, 3) for v in values)
-            for values in (self.moves, (self.right,), (self.wrong,))
-        )
+        distances = (p - z for p, z in zip(self.at_posture, self.at_zero, strict=True))
+        moves = ", ".join(signed(v * 1e3, 3) for v in distances)
+        right, wrong = (signed(v * 1e3, 3) for v in (self.right, self.wrong))
         return (
             f"axis {self.drive}: dial on leg {self.touched} toward {self.direction}, "
             f"{self.gauge * 1e3:.1f} mm along it; move {', '.join(LEGS)} by "
@@ -102,16 +95,10 @@ class ZeroCheck:
 
 
 def check_zeros(machine: Machine, offsets: Array) -> tuple[ZeroCheck, ...]:
-    """Return what a dial should read once only the new zeros are entered.
+    """Return what a dial should read once only the new zeros are entered, which take off the joint
+    offsets ``(3,)``, metres: a check for each drive whose zero moves by what a dial shows.
 
     The dial and the postures of the standard protocol are those that show a wrong sign best.
-
-    Args:
-        machine: calibrated, its controller as it is now.
-        offsets: joint offsets that the new zeros take off ``(3,)``, metres.
-
-    Returns:
-        One check for each drive whose zero moves by what a dial shows.
     """
     if not machine.geometry.dialled:  # whose legs no dial is set against
         return ()

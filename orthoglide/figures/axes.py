@@ -26,6 +26,7 @@ PANEL_WIDTH, PANEL_HEIGHT = 216.0, 198.0
 LEGEND_HEIGHT = 22.0
 
 _TITLE, _LABEL = 8.5, 7.5  # font sizes
+_RIGHT = 9.0  # margin of axes at the right
 _HAIRLINE = 0.6  # width of grid lines and frames
 _LABEL_DISTANCE = 35.0  # of a rotated label from the axes: room for ticks of seven characters
 _DESCENT = 0.36  # of the font size: from the middle of digits down to their base line
@@ -72,15 +73,12 @@ def round_ticks(limits: Limits, most: int = 4) -> list[tuple[float, str]]:
         values = [k * step for k in range(first, last + 1)]
         decimals = max(0, -exponent - (mantissa == 10.0) + (mantissa == 2.5))
         digits = decimals + 1 + math.floor(math.log10(max(abs(low), abs(high))))
-        ticks = [(v, _tick_text(v, decimals, digits)) for v in values]
+        ticks = [(v, plain(v, decimals)) for v in values]
+        if decimals > _MOST_DECIMALS:
+            ticks = [(v, compact(v, max(digits, 1))) for v in values]
         if len(ticks) > 1:
             break
     return ticks
-
-
-def _tick_text(value: float, decimals: int, digits: int) -> str:
-    """Return a value to so many decimals or, where these are many, so many significant digits."""
-    return plain(value, decimals) if decimals <= _MOST_DECIMALS else compact(value, max(digits, 1))
 
 
 def _regular(limits: Limits) -> Limits:
@@ -284,13 +282,12 @@ class Panel:
     axes: list[Axes] = field(default_factory=list)
 
     def add_axes(
-        self, x: Limits, y: Limits, left: float = 40.0, top: float = 22.0, right: float = 9.0,
-        bottom: float = 32.0,
-    ) -> Axes:  # fmt: skip
+        self, x: Limits, y: Limits, left: float = 40.0, top: float = 22.0, bottom: float = 32.0
+    ) -> Axes:
         """Return new axes within margins, which contain titles, ticks and labels."""
         box = (
             self.box[0] + left, self.box[1] + top,
-            self.box[2] - left - right, self.box[3] - top - bottom,
+            self.box[2] - left - _RIGHT, self.box[3] - top - bottom,
         )  # fmt: skip
         self.axes.append(Axes(box, x, y))
         return self.axes[-1]
@@ -304,15 +301,8 @@ def panel_drawing(
     name: str, title: str, items: Sequence[T], draw: Callable[[T, Panel], Sequence[Key]],
     height: float, names: Sequence[str] = (),
 ) -> Drawing:  # fmt: skip
-    """Return a drawing with a panel for each item, three in a row, which a page may arrange.
-
-    Args:
-        name: name of its file.
-        title: its content, a phrase.
-        items: contents of the panels.
-        draw: draws an item and returns the keys of the legend.
-        height: height of a panel.
-        names: names of the keys, in a row above all panels.
+    """Return a drawing with a panel for each item, three in a row, which a page may arrange;
+    ``draw`` returns the keys of the legend, whose names stand in a row above all panels.
     """
     above, across = LEGEND_HEIGHT if names else 0.0, min(3, len(items))
     keys: Sequence[Key] = ()

@@ -68,8 +68,14 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
     refuse_foreign(Path(path), content, accepted=("height map", "bed lines", "probe lines"))
     lines = re.split(r"\r\n|\r|\n", files.decode(content, Path(path), errors="replace"))
     touch_lists = read_touches(lines, printable_path(path))
-    distinct = _distinct(touch_lists)
-    lists = list(filter(None, (_usable_touches(t, kinematics, touch_lists) for t in distinct)))
+    first_lines, lists = dict[tuple[tuple[float, float, float], ...], int](), list[list[Touch]]()
+    for touches in touch_lists.lists:
+        line = touches[0].line
+        first_line = first_lines.setdefault(tuple((t.x, t.y, t.z) for t in touches), line)
+        if first_line != line:
+            touch_lists.leave_out(f"a copy of the list of line {first_line} from", line)
+        elif usable := _usable_touches(touches, kinematics, touch_lists):
+            lists.append(usable)
     if not lists:
         reasons = "; ".join(_left_out_sentences(touch_lists))
         raise FileError(
@@ -88,18 +94,6 @@ def import_plates(path: str | os.PathLike[str], machine_file: AnyMachine) -> Imp
     differing = list(disagreements(kinematics, campaigns, relative=True))
     notes = (*_notes(lists, touch_lists, printable_path(path)), *(note for *_, note in differing))
     return Imported(machine, campaigns, notes, () if differing else tuple(names))
-
-
-def _distinct(touch_lists: TouchLists) -> Iterator[list[Touch]]:
-    """Yield the lists without exact copies of another one."""
-    first_lines: dict[tuple[tuple[float, float, float], ...], int] = {}
-    for touches in touch_lists.lists:
-        line = touches[0].line
-        first_line = first_lines.setdefault(tuple((t.x, t.y, t.z) for t in touches), line)
-        if first_line == line:
-            yield touches
-        else:
-            touch_lists.leave_out(f"a copy of the list of line {first_line} from", line)
 
 
 def _usable_touches(

@@ -125,7 +125,10 @@ def _read_labelled(lines: Sequence[str], touch_lists: TouchLists) -> None:
 
 
 def _read_maps(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None:
-    """Read height maps: a heading, names of sizes, the sizes, and a row of heights for each y."""
+    """Read height maps: a heading, names of sizes, the sizes, and a row of heights for each y.
+
+    A bare 0 denotes a place that was not touched, and no place beyond the radius is touched.
+    """
     rows = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
     starts = [k for k, (_, line) in enumerate(rows) if _HEIGHT_MAP.search(line)]
     for start, end in zip(starts, [*starts[1:], len(rows)], strict=True):
@@ -146,7 +149,22 @@ def _read_maps(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None
         radius = _number(sizes.get("radius", "-1"))
         swapped = sizes.get("axis0", "x").lower() == "y"
         radius = radius if radius > 0 else math.inf
-        _read_heights(heights, (across, along), radius, swapped, touch_lists)
+        for (number, row), y in zip(heights, along, strict=False):
+            cells = _cells(row)
+            if len(cells) != len(across):
+                reason = f"the number of heights is {len(cells)}, not {len(across)}"
+                touch_lists.leave_out(reason, number, row)
+                continue
+            for x, cell in zip(across, cells, strict=True):
+                if math.hypot(x, y) <= radius + _EQUAL_PLACES:
+                    place, z = (y, x) if swapped else (x, y), _number(cell)
+                    touch_lists.add(Touch(number, *place, math.nan if cell == "0" else z))
+        if len(heights) < len(along):
+            reason = f"{len(heights)} rows of {len(along)}; more are missing below"
+            touch_lists.leave_out(reason, *heights[-1])
+        for number, row in heights[len(along) :]:
+            reason = f"more than the {len(along)} rows of the height map"
+            touch_lists.leave_out(reason, number, row)
 
 
 def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
@@ -160,32 +178,6 @@ def _span(sizes: Mapping[str, str], axis: int) -> list[float]:
     if not (math.isfinite(low + step) and 1 <= count <= _MAX_MAP_LINES):
         raise ValueError(axis)
     return [low + k * step for k in range(int(count))]
-
-
-def _read_heights(
-    rows: Sequence[tuple[int, str]], spans: tuple[Sequence[float], Sequence[float]], radius: float,
-    swapped: bool, touch_lists: TouchLists,
-) -> None:  # fmt: skip
-    """Read the heights of a map.
-
-    A bare 0 denotes a place that was not touched, and no place beyond the radius is touched.
-    """
-    across, along = spans
-    for (number, line), y in zip(rows, along, strict=False):
-        cells = _cells(line)
-        if len(cells) != len(across):
-            reason = f"the number of heights is {len(cells)}, not {len(across)}"
-            touch_lists.leave_out(reason, number, line)
-            continue
-        for x, cell in zip(across, cells, strict=True):
-            if math.hypot(x, y) <= radius + _EQUAL_PLACES:
-                place = (y, x) if swapped else (x, y)
-                touch_lists.add(Touch(number, *place, math.nan if cell == "0" else _number(cell)))
-    if len(rows) < len(along):
-        reason = f"{len(rows)} rows of {len(along)}; more are missing below"
-        touch_lists.leave_out(reason, *rows[-1])
-    for number, line in rows[len(along) :]:
-        touch_lists.leave_out(f"more than the {len(along)} rows of the height map", number, line)
 
 
 def _read_table(lines: Sequence[str], file: str, touch_lists: TouchLists) -> None:

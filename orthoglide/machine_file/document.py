@@ -22,11 +22,7 @@ _MAX_BITS = 1024  # of a whole number: as far as floats go
 
 
 class Document:
-    """A parsed TOML file; a path of keys leads to each value.
-
-    Args:
-        text: its content.
-        file: its name, for errors.
+    """A parsed TOML file; a path of keys leads to each value, and errors name the file.
 
     Raises:
         FileError: if the text is not TOML; methods raise it for wrong values.
@@ -39,7 +35,10 @@ class Document:
             if any(type(v) is int and v.bit_length() > _MAX_BITS for v in leaves(self.data)):
                 raise OverflowError
         except tomllib.TOMLDecodeError as error:
-            reason, line = _toml_error(str(error), text)
+            reason, _, position = str(error).partition(" (at ")
+            match = re.match(r"line (\d+)", position)
+            line = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
+            reason = abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH)
             raise FileError(
                 f"is not TOML, {reason}: mend this line", file=file, line=line
             ) from None
@@ -62,10 +61,6 @@ class Document:
         if not isinstance(value, dict):
             self.fail(f"{'.'.join(path)} must be a table, not a single value", *path)
         return value
-
-    def plain_table(self, name: str) -> dict[str, Any]:
-        """Return a table of any keys with ordinary floats in place of decimals."""
-        return tomllib.loads(self.text).get(name, {}) if self.table(name) else {}
 
     def check_keys(self, names: Collection[str], *path: str) -> None:
         """Refuse the first key of a table that is none of ``names``."""
@@ -92,13 +87,6 @@ def key_hint(key: str, names: Collection[str]) -> str:
     """Return what to write in place of an unknown key."""
     near = nearest(key, names)
     return f"did you mean {near!r}?" if near else f"it takes {', '.join(names)}"
-
-
-def _toml_error(message: str, text: str) -> tuple[str, int]:
-    reason, _, position = message.partition(" (at ")
-    match = re.match(r"line (\d+)", position)
-    line = int(match[1]) if match else len(text.rstrip("\n").split("\n"))
-    return abbreviated(reason[:1].lower() + reason[1:], _MAX_REASON_LENGTH), line
 
 
 _KEY = r"(?:\"[^\"]*\"|'[^']*'|[\w-]+)"
@@ -220,13 +208,8 @@ def quantity(unit: Unit, low: float = 0.0, high: float = 1e4, closed: bool = Fal
 def list_of(
     each: Kind, count: int, single_allowed: bool = False, check: Callable[..., None] | None = None
 ) -> Kind:
-    """Return the kind of a list of values.
-
-    Args:
-        each: kind of each value.
-        count: number of values.
-        single_allowed: whether a single value may stand for all.
-        check: takes the values and raises ValueError where they contradict each other.
+    """Return the kind of a list of values, of which a single one may stand for all; ``check``
+    raises a ValueError where they contradict each other.
     """
     requirement = f"a list of {count} numbers{each.unit and ' in '}{each.unit}"
     if single_allowed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -61,14 +62,9 @@ def machine_file_of(given: AnyMachine | None) -> MachineFile:
 def read_machine_file(
     path: str | os.PathLike[str], catalogue: Catalogue = CATALOGUE
 ) -> MachineFile:
-    """Return the content of a machine file and of the covariance file beside it.
-
-    Args:
-        path: the file (TOML, UTF-8), or the folder of a result with its ``calibrated.toml``.
-        catalogue: the effects that it may name.
-
-    Returns:
-        The content in SI, with its digest and the covariance from the ``.npz`` beside it.
+    """Return the content of a machine file, SI, with its digest and the covariance from the
+    ``.npz`` beside it; of a folder, that of its ``calibrated.toml``. It may name the effects of
+    ``catalogue``.
 
     Raises:
         FileError: naming the line and what would be right, or a covariance of another file.
@@ -119,7 +115,7 @@ def parse_machine_file(text: str, file: str = "", catalogue: Catalogue = CATALOG
         surface_slope=tolerance.pop("surface_slope", None),
         tolerance=tolerance,
         parameters={name: _parameter(document, name, catalogue) for name in names},
-        provenance=document.plain_table("provenance"),
+        provenance=tomllib.loads(text)["provenance"] if document.table("provenance") else {},
         catalogue=catalogue,
         file=file,
     )
@@ -188,14 +184,8 @@ def _parameter(document: Document, name: str, catalogue: Catalogue) -> Parameter
 def write_machine_file(
     machine: MachineFile, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a machine file that reads back exactly, with its covariance beside it.
-
-    The files are written completely, or, where nothing is replaced, none is.
-
-    Args:
-        machine: what to write.
-        path: of the machine file; the covariance goes to the same name with ``.npz``.
-        overwrite: whether existing files may be replaced.
+    """Write a machine file that reads back exactly, with its covariance beside it under the same
+    name with ``.npz``. They are written completely, or, where nothing is replaced, none is.
 
     Raises:
         FileError: if a file exists and may not be replaced, or cannot be written.
@@ -237,8 +227,12 @@ def machine_text(machine: MachineFile, file: str = "") -> str:
     Raises:
         InputError: if a machine file cannot hold the machine.
     """
+    lines = ["", "[parameters]"] if machine.parameters else []
+    for name, value in machine.parameters.items():  # inline, as the TOML writer takes four lines
+        table = schema.parameter(machine.catalogue.effect_of(name).unit).write(value)
+        lines.append(f'"{name}" = {{ {", ".join(tomli_w.dumps(table).splitlines())} }}')
     try:
-        text = tomli_w.dumps(_toml_tables(machine)) + _parameter_lines(machine)
+        text = tomli_w.dumps(_toml_tables(machine)) + "".join(f"{line}\n" for line in lines)
     except TypeError as error:
         raise InputError(f"a machine file cannot hold this provenance: {error}") from None
     # What could not be read back is never written.
@@ -275,13 +269,3 @@ def _toml_tables(machine: MachineFile) -> dict[str, Any]:
     written = {name: tables[name] for name in schema.TABLES if tables.get(name)}
     top = schema.TOP.write(vars(machine) | {"urdf": machine.urdf or None})
     return {"schema": SCHEMA_VERSION, **top, **written}
-
-
-def _parameter_lines(machine: MachineFile) -> str:
-    """Return an inline table for each parameter, where the TOML writer would take four lines."""
-    lines = ["", "[parameters]"] if machine.parameters else []
-    for name, value in machine.parameters.items():
-        table = schema.parameter(machine.catalogue.effect_of(name).unit).write(value)
-        cells = ", ".join(tomli_w.dumps(table).splitlines())
-        lines.append(f'"{name}" = {{ {cells} }}')
-    return "".join(f"{line}\n" for line in lines)

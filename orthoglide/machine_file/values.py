@@ -16,11 +16,7 @@ _MAX_LENGTH_RATIO = 0.1  # largest error of a length over that of a bar
 
 
 def check_magnitudes(spec: MachineFile, values: Mapping[str, float]) -> None:
-    """Refuse values of parameters that must be in another unit.
-
-    Args:
-        spec: of the machine.
-        values: by name, SI.
+    """Refuse values of parameters, SI, that must be in another unit.
 
     Raises:
         InputError: naming the parameter.
@@ -57,12 +53,8 @@ def check_sigmas(values: Mapping[str, float], sigmas: Mapping[str, float]) -> No
 def parameter_entries(
     catalogue: Catalogue, values: Mapping[str, float], sigmas: Mapping[str, float]
 ) -> dict[str, ParameterValue]:
-    """Return elementary parameters of a machine; structured members are expanded and summed.
-
-    Args:
-        catalogue: of the machine's effects.
-        values: by name, SI.
-        sigmas: standard deviations of some of them, SI; 0 where not given.
+    """Return elementary parameters of a machine; structured members are expanded and summed. Values
+    and standard deviations, 0 where not given, are SI.
 
     Raises:
         InputError: for a value that is no finite number, and a parameter of one campaign.

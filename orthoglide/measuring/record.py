@@ -15,7 +15,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table
 from orthoglide.observations.schema import COLUMNS, ORDER
-from orthoglide.observations.table import Table, parse_table, rows_table
+from orthoglide.observations.table import parse_table, rows_table
 from orthoglide.observations.writing import Row, campaign_rows, command_columns
 from orthoglide.text import csv_text, printable_path
 
@@ -30,15 +30,10 @@ _COLUMNS_AFTER_COMMANDS = ("gauge_mm", "bar", "repeat", "order", "load_N", "time
 
 
 class Record:
-    """A campaign file that grows by a row at a time.
+    """A campaign file that grows by a row at a time, in the coordinates of a machine's controller.
 
-    Args:
-        path: of the file; made where there is none.
-        machine_file: whose controller's coordinates the commands are in.
-
-    Attributes:
-        rows: of the file, moves included.
-        idle: seconds since the last row, where the file was there already.
+    It has ``rows``, moves included; ``idle`` is the time in seconds since the last of them, where
+    the file was there already.
     """
 
     def __init__(self, path: Path, machine_file: MachineFile) -> None:
@@ -81,22 +76,13 @@ class Record:
         if table.names != self._columns:
             problem = "was not begun by this command with this machine file"
             table.fail(f"{problem}: choose another name for --out")
-        self.rows = self._rows_of(table)
-        self.campaign(self.rows)  # raises
-        self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
-        self._is_stale = text != self._text()
-        return True
-
-    def _rows_of(self, table: Table) -> list[Row]:
-        """Return the rows of a table, every cell of which is checked: none may be missing, as they
-        determine what is asked next.
-        """
         for column in COLUMNS:
             for name in column.names(self.machine_file.geometry.leg_names):
                 table.values(column, name)  # raises
         cells = zip(*table.columns.values(), strict=True)
-        rows = [dict(zip(table.names, row, strict=True)) for row in cells]
-        for k, (row, order) in enumerate(zip(rows, table.values(ORDER), strict=True)):
+        self.rows = [dict(zip(table.names, row, strict=True)) for row in cells]
+        # No row may be missing, as they determine what is asked next.
+        for k, (row, order) in enumerate(zip(self.rows, table.values(ORDER), strict=True)):
             if order != k:
                 table.fail(
                     f"has order {order}, not {k}: put back what was removed, of kind move if it is "
@@ -107,7 +93,10 @@ class Record:
                 remedy = "fill it in, or make its kind move if it is not to count"
                 table.fail(f"reading_mm is empty: {remedy}", k)
             row["order"] = str(k)
-        return rows
+        self.campaign(self.rows)  # raises
+        self.idle = max(time.time() - self.path.stat().st_mtime, 0.0)
+        self._is_stale = text != self._text()
+        return True
 
     def append(self, row: Row) -> None:
         """Add a row, numbered, and see it on the disk."""

@@ -29,8 +29,7 @@ from orthoglide.observations.protocols import (
 )
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.planning import next_sheet
-from orthoglide.planning.pool import dial_scale
-from orthoglide.planning.suggestions import DECISIVE_SIGMAS
+from orthoglide.planning.sheets import DECISIVE_SIGMAS, dial_scale
 from orthoglide.report.sheet import command_convention, dial_words, mounted_together
 from orthoglide.text import abbreviated, printable_path
 from orthoglide.verdict import Verdict, build_request
@@ -126,11 +125,9 @@ def opening_sheet(machine: Machine, number: int = 0) -> Readings:
 def next_step(
     outcome: RunOutcome, number: int, readings_left: int
 ) -> tuple[Readings | None, str, bool]:
-    """Return what to read after so many sheets, where there is room for so many readings more.
-
-    Returns:
-        The sheet, `None` where no further reading is worth it; why, a clause; and whether the
-        verdict is settled.
+    """Return what to read after so many sheets, where there is room for so many readings more: the
+    sheet, `None` where no further reading is worth it; why, a clause; and whether the verdict is
+    settled.
     """
     taken = sum(map(len, outcome.request.campaigns))
     suggested = [
@@ -206,10 +203,8 @@ class Session:
     _place: tuple[tuple[str, ...], str] | None = field(default=None, init=False)
 
     def run(self) -> SessionEnd | None:
-        """Ask until the verdict is settled, or no more is to be read.
-
-        Returns:
-            What it came to; `None` if somebody asked to stop, or the input ended.
+        """Ask until the verdict is settled, or no more is to be read; return `None` if somebody
+        asked to stop, or the input ended.
 
         Raises:
             InputError: if the file or the sheet cannot be used, or all readings give no verdict.
@@ -297,7 +292,11 @@ class Session:
             self._pass(planned)
             return
         if self._place is None and self.record.rows:
-            self._pass(self._way_back(part.sheet, reading))
+            # It comes to the place from the prescribed side.
+            sheet = part.sheet
+            before = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
+            target = replace(sheet.subset([reading]), command=before[None], moves=Moves())
+            self._pass(_as_move(self.record.plan(target)[0], RETURN_POSTURE))
         self._go(planned, "go to", f"posture {planned['posture']}")
         mounting = int(part.sheet.setup[reading])
         self._ask_reading(planned, max_dial_span(part.sheet, mounting))
@@ -367,12 +366,6 @@ class Session:
         """Send the machine to a place where nothing is read."""
         self._go(row, "go past", "and read nothing")
         self.record.append(row)
-
-    def _way_back(self, sheet: Readings, reading: int) -> Row:
-        """Return the move from which the machine comes to a place from the prescribed side."""
-        command = sheet.command[reading] - sheet.moves.overshoot * sheet.approach[reading]
-        target = replace(sheet.subset([reading]), command=command[None], moves=Moves())
-        return _as_move(self.record.plan(target)[0], RETURN_POSTURE)
 
     def _go(self, planned: Row, action: str, purpose: str) -> None:
         """Say where the machine is to go, unless it is there."""

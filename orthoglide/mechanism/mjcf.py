@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from orthoglide.mechanism.tree import JOINTS_BEFORE, Tree
-from orthoglide.urdf.solids import number, numbers
+from orthoglide.urdf.tree import number, numbers
 
 _STEP = "0.001"
 """Seconds of a simulation step: the rods of a small delta swing too fast for MuJoCo's 0.002."""

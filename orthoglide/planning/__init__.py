@@ -17,16 +17,17 @@ from orthoglide.planning.instrument_choice import (
     suggest_instruments_for_causes as suggest_instruments_for_causes,
 )
 from orthoglide.planning.linear import predicted_problem as predicted_problem
-from orthoglide.planning.pool import reading_pool as reading_pool
 from orthoglide.planning.rivals import (
     next_measurements as next_measurements,
     suggest_separating_located_errors as suggest_separating_located_errors,
 )
-from orthoglide.planning.sheets import sheets_by_kind as sheets_by_kind, tool_sheets as tool_sheets
-from orthoglide.planning.suggestions import (
+from orthoglide.planning.sheets import (
     Suggestion as Suggestion,
     next_sheet as next_sheet,
+    reading_pool as reading_pool,
+    sheets_by_kind as sheets_by_kind,
     suggest_deciding_visits as suggest_deciding_visits,
     suggest_repeating as suggest_repeating,
     suggest_tracing as suggest_tracing,
+    tool_sheets as tool_sheets,
 )

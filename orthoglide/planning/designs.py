@@ -15,9 +15,13 @@ from orthoglide.errors import InputError, check_list
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
-from orthoglide.planning.choosing import CombinationPrecision, choose
-from orthoglide.planning.linear import LinearReadings, elementary_weights
-from orthoglide.planning.pool import reading_pool, sheet_from_pool
+from orthoglide.planning.linear import (
+    CombinationPrecision,
+    LinearReadings,
+    choose,
+    elementary_weights,
+)
+from orthoglide.planning.sheets import reading_pool, sheet_from_pool
 from orthoglide.prediction import Conditions
 from orthoglide.report.terminal import console_text, table
 from orthoglide.simulation import varied_conditions
@@ -87,13 +91,10 @@ class Observability:
 def observability(
     machine: Machine, campaign: Readings, free: Sequence[str], noise: float | None = None
 ) -> Observability:
-    """Return the observability indices of a campaign or protocol.
+    """Return the observability indices of a campaign or protocol, with or without readings.
 
-    Args:
-        machine: tolerances, dial, and where to linearise.
-        campaign: with or without readings.
-        free: effects, parameters or structured members to identify.
-        noise: standard deviation of one reading, metres; as the machine's dial has it if absent.
+    ``free`` are effects, parameters or structured members to identify; ``noise`` is the standard
+    deviation of one reading, metres, as the machine's dial has it if absent.
     """
     names = machine.catalogue.expand(free, [s.name for s in campaign.setups])
     readings = LinearReadings.of(machine, campaign, names, noise)
@@ -167,39 +168,21 @@ def design(
 
     Args:
         machine: tolerances, dial, and where to linearise.
-        free: effects, parameters or structured members to identify; zeros and lengths if None.
+        free: effects, parameters or structured members to identify; zeros and lengths if None, all
+            that readings of the pool can show if empty.
         count: readings.
         noise: standard deviation of one reading, metres.
 
     Raises:
-        InputError: for dial effects, or too few readings.
+        InputError: for effects of a dial, which belong to a mounting, for those that no reading of
+            the pool can show, or too few readings.
     """
     check_list("free", () if free is None else free)
     machine = Machine.of(machine)
-    pool = reading_pool(machine.geometry)
-    names = observable_names(machine, pool, machine.catalogue.base if free is None else free)
-    readings = LinearReadings.of(machine, pool, names, noise)
-    start = CombinationPrecision(np.eye(len(names)) / _LOOSE_TOLERANCES**2, np.eye(len(names)))
-    rows, best = choose(readings, start, count)
-    if not rows:
-        raise InputError("through this noise no reading says anything: correct it")
-    campaign = sheet_from_pool(pool, rows, "design")
-    indices = observability(machine, campaign, names, noise)
-    return Design(names, campaign, best.value - start.value, indices)
-
-
-def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> tuple[str, ...]:
-    """Return the machine's parameters that names stand for; where empty, all that readings of the
-    pool can show.
-
-    Raises:
-        InputError: for effects of the dial, which belong to a mounting and not to a design, and for
-            effects that no reading of the pool can show.
-    """
-    catalogue = machine.catalogue
+    pool, catalogue = reading_pool(machine.geometry), machine.catalogue
     conditions = varied_conditions(machine, pool) - {"time", "temperature"}  # no design plans them
-    if not free:
-        free = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= conditions]
+    shown = [n for n, e in catalogue.items() if not e.of_dial and e.needs <= conditions]
+    free = catalogue.base if free is None else free or shown
     for name in free:
         effect = catalogue.effect_of(name)
         if effect.of_dial or not effect.needs <= conditions:
@@ -210,7 +193,15 @@ def observable_names(machine: Machine, pool: Readings, free: Sequence[str]) -> t
                 "screw pitch is known)"
             )
             raise InputError(f"{name} {reason}: leave it out")
-    return catalogue.expand(free)
+    names = catalogue.expand(free)
+    readings = LinearReadings.of(machine, pool, names, noise)
+    start = CombinationPrecision(np.eye(len(names)) / _LOOSE_TOLERANCES**2, np.eye(len(names)))
+    rows, best = choose(readings, start, count)
+    if not rows:
+        raise InputError("through this noise no reading says anything: correct it")
+    campaign = sheet_from_pool(pool, rows, "design")
+    indices = observability(machine, campaign, names, noise)
+    return Design(names, campaign, best.value - start.value, indices)
 
 
 # -- how often to take them ------------------------------------------------------------------------
@@ -314,18 +305,16 @@ _SHORTEST_WAVE = 5e-3
 _CURVE_DEGREE = 2  # degree of the polynomial that a wave looks like: a bow
 _MIN_STATIONS = _CURVE_DEGREE + 3  # stations: fewer show no curve that could be compensated
 _MIN_VISIBLE_SHARE = 0.05  # of a wave's size: 5 um of a wave of 0.1 mm are the noise of a dial
+_ROUNDING = 1e-6  # of a period: stations are rounded to a micrometre
 _PERIODS_PER_CYCLE = 10  # periods that are tried while the stroke takes one more cycle
 
 
 def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
-    """Return a warning for each drive on which a sheet cannot tell a short wave from a curve.
+    """Return a warning for each drive on which a sheet of dials on legs cannot tell a short wave
+    from a curve.
 
     Waves are tried from the lead of the screws (5 mm where the machine file states none) to twice
     the largest distance of neighbouring stations; longer ones are sampled twice a cycle.
-
-    Args:
-        machine: stroke and lead of the screws.
-        sheet: readings of dials on legs; their values do not count.
     """
     machine, warnings = Machine.of(machine), list[str]()
     shortest = machine.spec.screw_pitch or _SHORTEST_WAVE
@@ -333,8 +322,20 @@ def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
         positions = np.unique(np.round(sheet.command[sheet.on_legs & (sheet.leg == leg), leg], 6))
         if len(positions) < _MIN_STATIONS:
             continue
-        period, visible_share = hidden_wave(positions, shortest)
-        if visible_share < _MIN_VISIBLE_SHARE:
+        span, longest = float(np.ptp(positions)), 2 * float(np.diff(positions).max())
+        if longest <= shortest * (1 + _ROUNDING):
+            continue
+        # The visible share of a wave is what no parabola fits, at the least visible phase.
+        cycles = np.arange(span / longest, span / shortest, 1 / _PERIODS_PER_CYCLE)
+        u = (positions - positions.min()) / span
+        curves, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * u - 1, _CURVE_DEGREE))
+        phase = 2 * np.pi * cycles[:, None] * u
+        waves = np.stack([np.sin(phase), np.cos(phase)], axis=2)
+        visible = np.linalg.svd(waves - curves @ (curves.T @ waves), compute_uv=False)[:, -1]
+        worst = int(np.argmin(visible))
+        # A sine over many stations has the norm sqrt(n / 2).
+        if visible[worst] / np.sqrt(len(positions) / 2) < _MIN_VISIBLE_SHARE:
+            period = float(span / cycles[worst])
             warnings.append(
                 f"at the {len(positions)} stations of drive {name} a wave of {period * 1e3:.3g} mm "
                 f"looks like a smooth curve, so that a compensation from this sheet may make the "
@@ -342,30 +343,3 @@ def aliasing(machine: MachineSource, sheet: Readings) -> tuple[str, ...]:
                 f"stations less than {shortest * 1e3 / 2:.2g} mm apart"
             )
     return tuple(warnings)
-
-
-_ROUNDING = 1e-6  # of a period: stations are rounded to a micrometre
-
-
-def hidden_wave(positions: Array, shortest: float) -> tuple[float, float]:
-    """Return the period of the wave that the stations show least, metres, and its visible share.
-
-    The visible share of a wave is what no parabola fits, at the least visible phase.
-
-    Args:
-        positions: of the stations ``(n,)``, different, metres.
-        shortest: period to begin with, metres.
-    """
-    span, longest = float(np.ptp(positions)), 2 * float(np.diff(np.sort(positions)).max())
-    if longest <= shortest * (1 + _ROUNDING):
-        return longest, 1.0
-    cycles = np.arange(span / longest, span / shortest, 1 / _PERIODS_PER_CYCLE)
-    u = (positions - positions.min()) / span
-    curves, _ = np.linalg.qr(np.polynomial.legendre.legvander(2 * u - 1, _CURVE_DEGREE))
-    phase = 2 * np.pi * cycles[:, None] * u
-    waves = np.stack([np.sin(phase), np.cos(phase)], axis=2)
-    residuals = waves - curves @ (curves.T @ waves)
-    # A sine over many stations has the norm sqrt(n / 2).
-    visible_shares = np.linalg.svd(residuals, compute_uv=False)[:, -1] / np.sqrt(len(positions) / 2)
-    worst = int(np.argmin(visible_shares))
-    return float(span / cycles[worst]), float(visible_shares[worst])

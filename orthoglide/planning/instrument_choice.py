@@ -23,9 +23,8 @@ from orthoglide.instruments import TOOL_OBSERVATIONS
 from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, ranked
 from orthoglide.parameters import split_campaign
-from orthoglide.planning.choosing import RivalSeparation
-from orthoglide.planning.sheets import instrument_sheet
-from orthoglide.planning.suggestions import Suggestion
+from orthoglide.planning.linear import RivalSeparation
+from orthoglide.planning.sheets import Suggestion, instrument_sheet
 from orthoglide.result import Cause, Explanation
 from orthoglide.text import MACHINE_OPTION, listed
 
@@ -133,7 +132,15 @@ def _suggest_instruments(
     for common in (True, False):  # a tracker or a ball bar only where nothing else decides
         candidates = [p for p in ordered if p.common_equipment is common]
         if deciding := [p for p in candidates if p.probability > 0]:
-            return tuple(_instrument_suggestion(rivals, p, sets, candidates) for p in deciding)
+            suggestions = []
+            for p in deciding:
+                text = "; ".join(s for members in sets for s in _sentences(p, members, candidates))
+                verb = "measure" if common else "measure with"
+                what = f"to tell the {rivals} apart {verb} {p.brief}{p.how}"
+                reason, most = f"{what}: {text}{p.sheet}", max(p.separations.values())
+                suggestion = Suggestion(reason, "none", most, None, what=f"{what}{p.sheet}")
+                suggestions.append(suggestion)
+            return tuple(suggestions)
     a, b = pairs[0]
     reason = f"no instrument at the tool separates {a.words} from {b.words}"
     return (Suggestion(reason, "none", 0.0, None),)
@@ -264,19 +271,6 @@ def _cause_vector(explanation: Explanation, problem: Problem) -> Array:
         applies = [not campaign or n.campaign in ("", campaign) for n in problem.names]
         vector += value * np.array([weights.get(n.plain, 0.0) for n in problem.names]) * applies
     return vector
-
-
-def _instrument_suggestion(
-    rivals: str,
-    proposal: ReadingProposal,
-    sets: Sequence[Sequence[QuotedExplanation]],
-    proposals: Sequence[ReadingProposal],
-) -> Suggestion:
-    text = "; ".join(s for members in sets for s in _sentences(proposal, members, proposals))
-    verb = "measure" if proposal.common_equipment else "measure with"
-    what = f"to tell the {rivals} apart {verb} {proposal.brief}{proposal.how}"
-    reason, separation = f"{what}: {text}{proposal.sheet}", max(proposal.separations.values())
-    return Suggestion(reason, "none", separation, None, what=f"{what}{proposal.sheet}")
 
 
 def _sentences(

@@ -1,20 +1,25 @@
-"""Readings linearised in the parameters asked for, and the information of one further reading.
+"""Readings linearised in the parameters asked for, and the choice of those of the largest gain.
 
 A reading is ``j x + datum + slope * place + rounding + noise``. Within a mounting the last four
 make readings correlated; a further reading, less what the chosen ones of its mounting predict of
 it, is ``d x + e`` with ``e`` independent of all else and of variance ``s2``. So every step is one
-scalar observation, and its gain by any criterion is a formula. A mounting begins with two readings:
-with a free datum, a single one contains no information.
+scalar observation, which adds ``d' d / s2`` to the information on the unknowns. Two criteria
+measure its gain: the precision of some combinations of the unknowns, and the separation of rivals.
+A mounting begins with two readings: with a free datum, a single one contains no information.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import logsumexp
 
 from orthoglide.errors import InputError
 from orthoglide.fit import (
@@ -36,6 +41,9 @@ from orthoglide.ordering import largest
 from orthoglide.prediction import MeasurementModel, ReadingPoses
 from orthoglide.simulation import simulate
 
+Pair = tuple[int, int]
+"""Two rivals, the smaller number first."""
+
 _DATUM_SIGMA = 1e-2  # metres: a dial's zero lies within its travel, which is as good as anywhere
 _MIN_SIGMA_SHARE = 0.1  # of a reading's sigma: its least part besides the common rounding
 
@@ -47,17 +55,6 @@ class Steps:
     rows: NDArray[np.int64]  # of the campaign (k, 2); first -1 where the mounting stands already
     columns: Array  # `d` (k, P)
     variance: Array  # `s2` (k,), square metres
-
-    @property
-    def opens_mounting(self) -> NDArray[np.bool_]:
-        """True for steps that mount a dial ``(k,)``."""
-        return np.asarray(self.rows[:, 0] >= 0)
-
-    @classmethod
-    def joined(cls, steps: Sequence[Steps]) -> Steps:
-        """Return several sets of steps as one."""
-        parts = zip(*((s.rows, s.columns, s.variance) for s in steps), strict=True)
-        return cls(*map(np.concatenate, parts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +72,11 @@ class LinearReadings:
     def of(
         cls, machine: Machine, campaign: Readings, names: Sequence[str], noise: float | None = None
     ) -> LinearReadings:
-        """Return the readings linearised in parameters, each in its tolerance.
+        """Return the readings of a campaign, whose values do not count, linearised in parameters or
+        structured members, each in its tolerance.
 
-        Args:
-            machine: as it is believed to be.
-            campaign: readings, if there are any, do not count.
-            names: parameters or structured members.
-            noise: standard deviation of one reading, metres; else of the rows, the machine file,
-                or as published.
+        ``noise`` is the standard deviation of one reading, metres; else that of the rows, of the
+        machine file, or as published.
 
         Raises:
             InputError: where these are other readings than of single dials.
@@ -181,12 +175,12 @@ class LinearReadings:
             opening = self.opening_steps
             new = ~np.isin(self.campaign.setup[opening.rows[:, 0]], mounted)
             steps.insert(0, Steps(opening.rows[new], opening.columns[new], opening.variance[new]))
-        return Steps.joined(steps)
+        parts = zip(*((s.rows, s.columns, s.variance) for s in steps), strict=True)
+        return Steps(*map(np.concatenate, parts))
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
         """Return rows ``(m, P)`` by the unknowns with unit variance, datums projected out."""
-        rows = np.arange(len(self.campaign))
-        rows = rows if chosen is None else rows[list(chosen)]
+        rows = np.arange(len(self.campaign))[slice(None) if chosen is None else list(chosen)]
         blocks = [np.empty((0, self.columns.shape[1]))]
         for setup in np.unique(self.campaign.setup[rows]):
             k = rows[self.campaign.setup[rows] == setup]
@@ -229,8 +223,169 @@ def predicted_problem(
     sheets = [sheet] if isinstance(sheet, Readings) else sheet
     if not len(sheets):
         raise InputError("there are no readings: give at least one table of them")
-    predicted = [simulate(machine, readings, exact=True) for readings in sheets]
-    for k, readings in enumerate(predicted):
-        if readings.of_tool:
-            predicted[k] = replace(readings, sigma=expected_sigma(readings, machine.spec))
+    predicted = []
+    for exact in (simulate(machine, readings, exact=True) for readings in sheets):
+        sigma = expected_sigma(exact, machine.spec) if exact.of_tool else exact.sigma
+        predicted.append(replace(exact, sigma=sigma))
     return assemble(predicted, rated, machine.catalogue.base, noise=noise)
+
+
+_MAX_READINGS = 500  # readings of a sheet: a day's work, and some minutes to choose
+_MIN_GAIN = 1e-9  # gain below which a step is not worth a reading
+
+
+@dataclass(frozen=True)
+class Criterion(ABC):
+    """A figure of merit of the information gained so far."""
+
+    information: Array  # on all columns of the readings (P, P), priors in it
+
+    @property
+    def reached(self) -> bool:
+        """True if no further reading is wanted; the number of readings is the limit otherwise."""
+        return False
+
+    @abstractmethod
+    def gains(self, steps: Steps) -> Array:
+        """Return by how much each step would raise the figure of merit ``(k,)``."""
+
+    def with_step(self, steps: Steps, k: int) -> Self:
+        """Return the criterion once step ``k`` has been taken."""
+        d, variance = steps.columns[k], steps.variance[k]
+        return replace(self, information=self.information + np.outer(d, d) / variance)
+
+    def with_rows(self, readings: LinearReadings, rows: Sequence[int]) -> Self:
+        """Return the criterion once rows have been read, in mountings of their own."""
+        return replace(self, information=self.information + readings.information(rows))
+
+
+@dataclass(frozen=True)
+class CombinationPrecision(Criterion):
+    """Precision of combinations A of the unknowns: ``-log det(A' C A)`` with their covariance C.
+
+    It is D-optimality where A is the identity, and the variance of one combination where A is a
+    column.
+    """
+
+    combinations: Array  # A (P, m)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns ``(P, P)``."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def combination_covariance(self) -> Array:
+        """Covariance of the combinations ``(m, m)``."""
+        return np.asarray(self.combinations.T @ self.covariance @ self.combinations)
+
+    @property
+    def value(self) -> float:
+        """Minus the logarithm of the determinant of the combinations' covariance."""
+        return -float(np.linalg.slogdet(self.combination_covariance)[1])
+
+    def gains(self, steps: Steps) -> Array:
+        """Return ``-log(1 - d C A (A' C A)^-1 A' C d' / (s2 + d C d'))`` (determinant lemma)."""
+        dC = steps.columns @ self.covariance
+        dCA = dC @ self.combinations
+        variance = steps.variance + np.sum(dC * steps.columns, axis=1)
+        explained = np.sum(dCA * np.linalg.solve(self.combination_covariance, dCA.T).T, axis=1)
+        # Rounding must not let a step explain everything.
+        return np.asarray(-np.log1p(-np.minimum(explained / variance, 1 - 1e-12)))
+
+
+@dataclass(frozen=True)
+class RivalSeparation(Criterion):
+    """How far rival explanations are separated once the unknowns have been fitted again.
+
+    The last columns of the readings are the predictions of each rival. With the covariance C of the
+    refitted unknowns, a step raises the expected chi2 between rivals a and b by
+    ``(d (x_a - x_b) expected)^2 / (s2 + d C d')``.
+    """
+
+    prior_covariance: Array  # of the unknowns before any step, the mean of all rivals' (P, P)
+    pairs: Array  # of rivals (q, 2)
+    required_chi2: float = np.inf  # chi2 beyond which no more is wanted
+
+    @classmethod
+    def before(
+        cls, covariances: Sequence[Array], pairs: Sequence[Pair], required_chi2: float = np.inf
+    ) -> Self:
+        """Return the criterion before any step, by each rival's covariance of the unknowns."""
+        prior = np.mean(covariances, axis=0)
+        information = np.zeros((len(prior) + len(covariances),) * 2)
+        return cls(information, prior, np.array(pairs), required_chi2)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """Covariance of the unknowns once fitted again ``(P, P)``."""
+        size = len(self.prior_covariance)
+        update = np.eye(size) + self.information[:size, :size] @ self.prior_covariance
+        # (C^-1 + W)^-1 = C (1 + W C)^-1, whatever C's rank.
+        return np.asarray(self.prior_covariance @ np.linalg.inv(update))
+
+    @cached_property
+    def chi2(self) -> Array:
+        """Expected chi2 of one rival where the other is true ``(q,)``."""
+        size, W = len(self.prior_covariance), self.information
+        R = W[size:, size:] - W[size:, :size] @ self.covariance @ W[:size, size:]
+        a, b = self.pairs.T
+        return np.maximum(R[a, a] + R[b, b] - 2 * R[a, b], 0.0)
+
+    @property
+    def sigmas(self) -> dict[Pair, float]:
+        """Separation of each pair, the root of its chi2."""
+        pairs = map(tuple, self.pairs.tolist())
+        return dict(zip(pairs, np.sqrt(self.chi2).tolist(), strict=True))
+
+    @property
+    def reached(self) -> bool:
+        """True if even the least separated pair is separated enough."""
+        return bool(self.chi2.min() >= self.required_chi2)
+
+    @property
+    def value(self) -> float:
+        """Minus the logarithm of the mean relative likelihood of the wrong rivals."""
+        return float(np.log(len(self.chi2)) - logsumexp(-self.chi2 / 2))
+
+    def gains(self, steps: Steps) -> Array:
+        """Return the rise of ``value``."""
+        size, (a, b) = len(self.prior_covariance), self.pairs.T
+        unknowns, predicted = steps.columns[:, :size], steps.columns[:, size:]
+        fitted = unknowns @ self.covariance
+        expected = predicted - fitted @ self.information[:size, size:]
+        variance = np.sum(fitted * unknowns, axis=1) + steps.variance
+        chi2 = self.chi2 + (expected[:, a] - expected[:, b]) ** 2 / variance[:, None]
+        return np.asarray(np.log(len(self.chi2)) - logsumexp(-chi2 / 2, axis=1) - self.value)
+
+
+C = TypeVar("C", bound=Criterion)
+
+
+def choose(
+    readings: LinearReadings, start: C, count: int, *, mounting_cost: float = 2.0
+) -> tuple[tuple[int, ...], C]:
+    """Return the readings, rows of the pool with repetitions, that raise a criterion most, step by
+    step by the gain for the cost, and the criterion with them.
+
+    ``mounting_cost`` is that of mounting a dial and taking its first two readings, in readings.
+
+    Raises:
+        InputError: for a number of readings that is not whole, or out of range.
+    """
+    if not isinstance(count, Real) or not 2 <= count <= _MAX_READINGS or count % 1:
+        raise InputError(
+            f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
+        )
+    taken, criterion = list[int](), start
+    while len(taken) < count and not (taken and criterion.reached):
+        steps = readings.next_steps(taken, int(count) - len(taken))
+        if not len(steps.rows):
+            break
+        gains = criterion.gains(steps)
+        k = largest(gains / np.where(steps.rows[:, 0] >= 0, mounting_cost, 1.0))
+        if not gains[k] > _MIN_GAIN:
+            break
+        criterion = criterion.with_step(steps, k)
+        taken += [row for row in steps.rows[k].tolist() if row >= 0]
+    return tuple(taken), criterion

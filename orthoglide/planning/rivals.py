@@ -21,19 +21,20 @@ from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
 from orthoglide.ordering import LOG_ODDS_MARGIN, ranked
-from orthoglide.planning.choosing import CombinationPrecision, RivalSeparation, choose
 from orthoglide.planning.instrument_choice import suggest_instruments_for_located_errors
-from orthoglide.planning.linear import LinearReadings
-from orthoglide.planning.pool import reading_pool
-from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
+from orthoglide.planning.linear import (
+    CombinationPrecision,
+    LinearReadings,
+    Pair,
+    RivalSeparation,
+    choose,
+)
+from orthoglide.planning.sheets import DECISIVE_SIGMAS, Suggestion, reading_pool
 from orthoglide.prediction import Conditions, MeasurementModel, ReadingPoses
 from orthoglide.result import Located, WeakDirection
 from orthoglide.text import listed
 
 Values = Mapping[str, float]
-Pair = tuple[int, int]
-"""Two rivals, the smaller number first."""
-
 ENOUGH_SIGMAS = 6.0
 """Sigmas of separation beyond which no further reading is proposed."""
 

@@ -1,33 +1,134 @@
-"""Measuring sheets of instruments."""
+"""Readings that can be taken: the pool of dials, sheets of instruments, and suggestions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, Literal
 
 import numpy as np
 
+from orthoglide import reduction
 from orthoglide.arguments import public
 from orthoglide.errors import UnreachableError, check_choice, check_list
-from orthoglide.geometry import Array
+from orthoglide.explanation import FullPosterior
+from orthoglide.frames import Framed
+from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Readings, Setup, protocol, renumbered
-from orthoglide.observations.approach import Moves, stroke_overshoot
+from orthoglide.observations import (
+    Moves,
+    Readings,
+    Setup,
+    campaign_rows,
+    protocol,
+    renumbered,
+    source,
+)
+from orthoglide.observations.approach import stroke_overshoot
 from orthoglide.observations.checks import DECIMALS
+from orthoglide.observations.protocols import dial_setup, require_dial_layout
+from orthoglide.result import DataRival, SetupResidual
 from orthoglide.threads import on_one_thread
 
+DIAL_TRAVEL = 5e-3
+"""Metres that the touched line may move sideways at the dial; see :func:`dial_scale`."""
+
+_GAUGES = (0.25, 0.35, 0.5, 0.65, 0.75)  # places of dials: fractions of the leg from the platform
+_STEPS_UP, _STEPS_DOWN = 3, 4  # of the upper and the lower half stroke
+_OFF_AXIS = 6e-3  # metres off the axis
+_CLEARANCE = 5e-3  # metres that a dial keeps from either end of the leg
+_COMMAND_DECIMALS = 9  # decimals of a metre that fit on a sheet
 _RING_POINTS = 12  # places on a circle: the lobes of a plate's shapes of three and four come out
 _HALVINGS = 12  # of the workspace's size: to a few thousandths of it
 _PLACE_DECIMALS = 4  # decimals of a metre: places that people can type
 
 
-def sheets_by_kind(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings]:
-    """Return the sheets of instruments by kind, those at the tool in one sequence.
+def dial_scale(geometry: Geometry) -> float:
+    """Return the relative size of a dial with its stand, at most that in a workshop."""
+    return min(geometry.scale, 1.0)
 
-    Args:
-        machine: as it is believed to be.
-        kinds: of readings that can be taken: ``leg``, ``tcp``, ``plate`` ...
+
+def reading_pool(geometry: Geometry, *, load: float = 0.0) -> Readings:
+    """Return every reading that can be chosen, under a load in newtons, as a campaign without
+    readings: a setup for every leg, direction, place and bar, one row a station at which the dial
+    stays on its leg and within its travel.
+    """
+    require_dial_layout(geometry)
+    setups: list[Setup] = []
+    rows: list[tuple[int, str, Array, float]] = []
+    scale = dial_scale(geometry)
+    for leg in range(3):
+        labels, command, p, approach = _stations(leg, geometry)
+        axes = map(LEGS.index, geometry.layout.names.across[leg])
+        for axis, gauge, bar in product(axes, _GAUGES, (0, 1, 2)):  # 0: the leg's median line
+            setup = dial_setup(geometry, leg, axis, gauge, bar)
+            carriage, platform = command[:, leg], p[:, leg]
+            clearance = _CLEARANCE * scale
+            on_leg = (platform + clearance <= setup.gauge) & (setup.gauge <= carriage - clearance)
+            # The touched point moves by this share of the platform's motion.
+            share = (carriage - setup.gauge) / (carriage - platform)
+            sideways = np.abs(np.delete(p, leg, axis=1)).max(axis=1) * share
+            visible = np.flatnonzero(on_leg & (sideways <= DIAL_TRAVEL * scale))
+            rows += [(len(setups), labels[k], command[k], approach[k]) for k in visible]
+            setups.append(replace(setup, name=f"next-{setup.name}"))
+    setup_rows, posture, commands, sides = zip(*rows, strict=True)
+    return Readings(
+        "next", tuple(setups), np.array(setup_rows), np.array(commands),
+        np.full(len(posture), np.nan), np.repeat(np.array(sides)[:, None], 3, axis=1),
+        load=np.array(load), posture=posture,
+        moves=Moves(overshoot=stroke_overshoot(geometry.stroke)),
+    )  # fmt: skip
+
+
+def _stations(leg: int, geometry: Geometry) -> tuple[list[str], Array, Array, Array]:
+    """Return labels, commands ``(n, 3)``, nominal TCP ``(n, 3)`` and approaches ``(n,)`` of all
+    axes, at which a leg's dials can be read, within the stroke with the approaches.
+
+    On the leg's own axis: steps of the stroke, reached with all axes moving in + and in -. Off it:
+    6 mm to either side, at mechanical zero and in the middle of both half strokes, reached in +.
+    """
+    low, high = geometry.stroke
+    down = low * np.arange(_STEPS_DOWN, 0, -1) / _STEPS_DOWN
+    travels = [*down, *(high * np.arange(_STEPS_UP + 1) / _STEPS_UP)]
+    # Label, places along the axes, and the direction from which it is reached.
+    planned: list[tuple[str, dict[int, float], int]] = [
+        (f"{travel * 1e3:+.6g}", {leg: travel}, side) for travel in travels for side in (1, -1)
+    ]
+    offset, others = _OFF_AXIS * dial_scale(geometry), [axis for axis in range(3) if axis != leg]
+    for travel, axis, side in product((low / 2, 0.0, high / 2), others, (1, -1)):
+        label = f"{travel * 1e3:+.6g} {LEGS[axis]}{side * offset * 1e3:+.6g}"
+        planned.append((label, {leg: travel, axis: side * offset}, 1))
+    p = np.array([[point.get(axis, 0.0) for axis in range(3)] for _, point, _ in planned])
+    approach = np.array([float(side) for *_, side in planned])
+    rho = np.round(reduction.inverse(p, geometry=geometry), _COMMAND_DECIMALS)
+    before = rho - approach[:, None] * stroke_overshoot(geometry.stroke)
+    in_stroke = geometry.in_stroke(np.stack([rho, before], axis=1)).all(axis=(1, 2))
+    reachable = np.flatnonzero(in_stroke)
+    labels = [planned[k][0] for k in reachable]
+    return labels, rho[reachable], p[reachable], approach[reachable]
+
+
+def sheet_from_pool(pool: Readings, chosen: Sequence[int], name: str = "next") -> Readings:
+    """Return chosen rows of a pool, with repetitions where a station is visited again, mounting by
+    mounting, visits numbered, with their moves.
+    """
+    rows = np.array(sorted(chosen, key=lambda k: (pool.setup[k], k)), dtype=np.int64)
+    repeat = np.array([int(np.sum(rows[:i] == k)) + 1 for i, k in enumerate(rows)], dtype=np.int64)
+    # All stations once, then again: successive repeats would hide creep of the stand.
+    order = np.lexsort([rows, repeat, pool.setup[rows]])
+    return replace(pool.subset(rows[order]), name=name, repeat=repeat[order]).with_moves()
+
+
+# -- sheets of instruments -------------------------------------------------------------------------
+
+
+def sheets_by_kind(machine: Machine, kinds: Sequence[str]) -> dict[str, Readings]:
+    """Return the sheets of instruments by kind, ``leg``, ``tcp``, ``plate`` ..., those at the tool
+    in one sequence.
 
     Raises:
         InputError: for an unknown kind, or one that this machine does not take.
@@ -60,11 +161,7 @@ def tool_sheets(machine: MachineSource, kinds: Sequence[str]) -> list[Readings]:
 def instrument_sheet(machine: Machine, kind: str, extra_length: float = 0.0) -> Readings:
     """Return the readings that an instrument would take of a machine, without their values.
 
-    Args:
-        machine: as it is believed to be.
-        kind: of the readings.
-        extra_length: by which the tool is longer than the machine's, metres; the platform stays
-            higher by as much.
+    With an ``extra_length`` of the tool, metres, the platform stays higher by as much.
 
     Raises:
         InputError: where dials cannot be set against the machine's legs.
@@ -106,7 +203,15 @@ def _instrument_points(
         if machine.geometry.layout.hanging:
             centre = np.array([0.0, 0.0, 1.0])
         outline = points + centre
-    size = _largest_size(machine, lambda r: r * outline + up)
+    # Nine tenths of the largest size at which all points are within reach.
+    perfect, low, high = machine.with_only({}), 0.0, machine.geometry.L
+    for _ in range(_HALVINGS):
+        middle, fits = (low + high) / 2, False
+        with suppress(UnreachableError):
+            commands = perfect.inverse(middle * outline + up)
+            fits = bool(machine.geometry.in_stroke(commands).all())
+        low, high = (middle, high) if fits else (low, middle)
+    size = 0.9 * low
     if other_ends is not None:
         other_ends = np.round(size * other_ends, _PLACE_DECIMALS)
     return np.round(size * (points + centre), _PLACE_DECIMALS) + 0.0, other_ends
@@ -122,13 +227,163 @@ def _controller_commands(machine: Machine, p: Array) -> Array:
     return np.asarray(np.round(commands, DECIMALS))
 
 
-def _largest_size(machine: Machine, points: Callable[[float], Array]) -> float:
-    """Return nine tenths of the largest size at which all points are within reach, metres."""
-    low, high = 0.0, machine.geometry.L
-    for _ in range(_HALVINGS):
-        size, fits = (low + high) / 2, False
-        with suppress(UnreachableError):
-            commands = machine.with_only({}).inverse(points(size))
-            fits = bool(machine.geometry.in_stroke(commands).all())
-        low, high = (size, high) if fits else (low, size)
-    return 0.9 * low
+Aim = Literal["separate", "narrow", "trace", "none"]
+
+DECISIVE_SIGMAS = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+_VISITS = 2  # visits: a single one may be misread
+_NEIGHBOUR_DISTANCES = 3  # distances from a posture: itself, and those next to it
+_GAUGE_FRACTION = 0.5  # of the leg
+
+
+@dataclass(frozen=True)
+class Suggestion(Framed):
+    """A few readings to take, and why.
+
+    Attributes:
+        reason: purpose and expected result, in words.
+        aim: ``separate`` rivals; ``narrow`` a weak direction; ``trace`` an unexplained residual or
+            a doubtful reading; ``none`` if no sheet is proposed, although another instrument may
+            help.
+        gain: separation of rivals in sigmas, the least of all pairs, or by another instrument the
+            largest; of a direction the ratio of its standard deviations; nan for ``trace``.
+        pool: the readings to choose from; ``None`` where another instrument is what helps.
+        chosen: rows of the pool, with repetitions; none where nothing helps.
+        what: what to measure, without the expected result; empty where that is the whole reason.
+    """
+
+    reason: str
+    aim: Aim
+    gain: float
+    pool: Readings | None
+    chosen: tuple[int, ...] = ()
+    what: str = ""
+
+    @property
+    def campaign(self) -> Readings | None:
+        """The readings without their values; ``None`` if no reading helps."""
+        if not self.chosen or self.pool is None:
+            return None
+        return sheet_from_pool(self.pool, self.chosen)
+
+    @property
+    def hopeless(self) -> bool:
+        """True if no reading helps."""
+        return self.aim == "none" and self.gain < DECISIVE_SIGMAS
+
+    def __repr__(self) -> str:
+        return f"<Suggestion, {len(self.chosen)} readings: {self.reason}>"
+
+    @property
+    def columns(self) -> dict[str, list[Any]]:
+        """The rows of a campaign file by column; empty if no reading helps."""
+        rows = self.rows
+        return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+
+    @property
+    def rows(self) -> tuple[dict[str, str], ...]:
+        """The rows of a campaign file, moves included, without the reading."""
+        if self.campaign is None:
+            return ()
+        table = campaign_rows(self.campaign)
+        return tuple({k: v for k, v in row.items() if k != "reading_mm"} for row in table)
+
+
+def next_sheet(suggestions: Sequence[Suggestion]) -> Readings | None:
+    """Return one measuring sheet for all suggestions of a run; ``None`` where nothing helps.
+
+    A visit that serves two purposes stands once.
+    """
+    pools: dict[tuple[Any, ...], Readings] = {}
+    visits: dict[tuple[Any, ...], Counter[int]] = {}
+    for suggestion in suggestions:
+        pool = suggestion.pool
+        if pool is not None and suggestion.chosen:
+            key = (*pool.setups, len(pool))
+            pools.setdefault(key, pool)
+            visits[key] = visits.get(key, Counter()) | Counter(suggestion.chosen)
+    sheets = [sheet_from_pool(pools[k], tuple(counts.elements())) for k, counts in visits.items()]
+    return Readings.concatenated(sheets) if sheets else None
+
+
+def _trace_suggestion(
+    reason: str, pool: Readings | None = None, rows: Sequence[int] = ()
+) -> Suggestion:
+    """Return a ``trace`` suggestion; rows of a pool that are given are visited twice."""
+    visits = np.repeat(np.asarray(rows, dtype=int), _VISITS)
+    return Suggestion(reason, "trace", float("nan"), pool, tuple(visits.tolist()))
+
+
+def suggest_tracing(residual: SetupResidual, geometry: Geometry) -> Suggestion:
+    """Return a sheet for the dial whose residual is largest; no rival explanation is needed.
+
+    Both bars of the leg are touched along the direction of the largest residual, at every step of
+    its travel, reached from both sides. A curve distinguishes a bend from a tilt, two sides show
+    lost motion, and two bars distinguish a twist from a shift.
+    """
+    pool = reading_pool(geometry)
+    gauge = _GAUGE_FRACTION * geometry.L
+    dial = residual.leg, residual.axis
+    setups = [
+        k for k, s in enumerate(pool.setups)
+        if (s.leg, s.axis) == dial and s.bar and abs(s.gauge - gauge) < 1e-6
+    ]  # fmt: skip
+    others = [axis for axis in range(3) if axis != residual.leg]
+    # The two other drives have equal commands: the TCP is on the leg's axis.
+    on_axis = np.ptp(pool.command[:, others], axis=1) < 1e-6
+    rows = np.flatnonzero(np.isin(pool.setup, setups) & on_axis)
+    axis = LEGS[residual.axis]
+    reason = (
+        f"the residual is largest on {residual.reads}, so take {len(rows) * _VISITS} readings of "
+        f"both bars of the leg along {axis}, over its whole travel and from both sides, which "
+        f"distinguish a bent part, a turned part, lost motion and a wrong bar"
+    )
+    return _trace_suggestion(reason, pool, rows.tolist())
+
+
+def suggest_repeating(residual: SetupResidual) -> Suggestion:
+    """Return the advice to repeat readings of the tool where the residual is largest."""
+    instrument = OBSERVATIONS[residual.kind]
+    sides = "" if instrument.touches or instrument.paired else " and coming from either side"
+    return _trace_suggestion(
+        f"the residual is largest in {residual.reads} ({residual.setup}), so read it again with "
+        f"the tool at {'; '.join(residual.where)} mm, three times each{sides}. If the error "
+        f"repeats, the machine or what the instrument stands on causes it; if not, look for a "
+        f"loose part, lost motion or a faulty instrument"
+    )
+
+
+def suggest_deciding_visits(posterior: FullPosterior, fault: DataRival) -> Suggestion:
+    """Return the advice to repeat a reading that shows a defect of the machine or a data fault: at
+    its posture and the neighbours for dials, else the reading itself.
+
+    A defect appears again and is smaller at neighbouring postures; a slip or a wrong command does
+    not appear again.
+    """
+    problem = posterior.linearised.problem
+    tables = (f.readings for f in problem.factors if source(f.readings) == fault.file)
+    table = next(t for t in tables if fault.rows[0] in t.line)
+    faulty_rows = np.flatnonzero(np.isin(table.line, fault.rows) & table.on_legs)
+    if not len(faulty_rows):
+        several = len(set(fault.rows)) > 1
+        settled = ", in the same order and after the instrument has settled" if several else ""
+        return _trace_suggestion(
+            f"{fault.lines} of {fault.file} once more{settled}: a defect of the machine appears "
+            f"again, {'a move or a drift of the instrument' if several else 'a slip'} does not"
+        )
+    rows = np.flatnonzero(np.isin(table.setup, table.setup[faulty_rows]))
+    distances = np.linalg.norm(table.command[rows] - table.command[faulty_rows[0]], axis=1).round(6)
+    nearest = rows[np.isin(distances, np.unique(distances)[:_NEIGHBOUR_DISTANCES])]
+    visits = np.column_stack([table.stations[nearest], table.approach[nearest]])
+    first = table.subset(np.sort(nearest[np.unique(visits, axis=0, return_index=True)[1]]))
+    setups = tuple(replace(s, name=f"{s.name}-line-{fault.rows[0]}") for s in first.setups)
+    overshoot = stroke_overshoot(posterior.machine.geometry.stroke)
+    pool = Readings(
+        "next", setups, first.setup, first.command, np.full(len(first), np.nan), first.approach,
+        posture=first.posture, moves=Moves(overshoot=overshoot),
+    )  # fmt: skip
+    reason = (
+        f"the posture of line {fault.rows[0]} and the nearest postures once more, "
+        f"{len(pool) * _VISITS} readings, each command entered anew: a defect of the machine "
+        f"appears again, a slip or a wrong command does not"
+    )
+    return _trace_suggestion(reason, pool, range(len(pool)))

@@ -20,12 +20,11 @@ from orthoglide.observations import Readings, campaign_text, protocol, read_read
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.planning import sheets_by_kind
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.rehearsal.outcome import Outcome, Rehearsal, run_campaign
-from orthoglide.rehearsal.random_machines import Scope
+from orthoglide.rehearsal.outcome import Outcome, Rehearsal, Scope, run_campaign
 from orthoglide.result import decoded, encoded
 
 CAMPAIGNS = 90
-"""Ten times :data:`orthoglide.rehearsal.random_machines.KIND_SEQUENCE`."""
+"""Ten times :data:`orthoglide.rehearsal.outcome.KIND_SEQUENCE`."""
 
 
 @public
@@ -133,16 +132,11 @@ def _run_campaigns(
 
 
 class _Journal:
-    """The file of finished campaigns, from which a stopped run is resumed.
+    """The file of finished campaigns, from which a stopped run is resumed, in a folder that is new,
+    empty, or of an earlier run.
 
     Its first line says what determines every campaign, files by their digests; then a campaign a
     line.
-
-    Args:
-        folder: that contains it; new, empty, or of an earlier run.
-        scope: machine and sheets of the rehearsal.
-        seed: of the rehearsal.
-        campaigns: that are asked for.
 
     Raises:
         FileError: if the folder contains something else, or campaigns of another rehearsal, or more

@@ -6,8 +6,11 @@ Everything here reads a `Result` and computes nothing of its own.
 from __future__ import annotations
 
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.report.folder import check_folder as check_folder, write_folder as write_folder
-from orthoglide.report.tables import result_text as result_text
+from orthoglide.report.folder import (
+    check_folder as check_folder,
+    result_text as result_text,
+    write_folder as write_folder,
+)
 from orthoglide.report.terminal import summary as summary
 from orthoglide.result import Result
 
@@ -20,9 +23,9 @@ def report_files(result: Result, progress: Progress = no_progress) -> dict[str, 
     from orthoglide.figures.draw import draw
     from orthoglide.machine_file import machine_file_contents
     from orthoglide.observations import campaign_text
+    from orthoglide.report.folder import calibrated_machine, residual_table
     from orthoglide.report.page import page
     from orthoglide.report.sheet import sheet_page
-    from orthoglide.report.tables import calibrated_machine, residual_table
 
     machine, sheets = result.request.machine, dict[str, str]()
     if result.next_sheet is not None:

@@ -11,7 +11,6 @@ from orthoglide.numerals import SIGMAS_95, with_sigma
 from orthoglide.ordering import ranked
 from orthoglide.result import Cause, Change, Curve, DataRival, Explanation, Located, Result
 from orthoglide.text import lower_first, sentence
-from orthoglide.units import display_unit as spoken_unit
 
 SOMETHING_ELSE_WRONG = "Something else is wrong as well."
 """Words after findings that do not explain the whole residual."""
@@ -133,11 +132,12 @@ def _data_fault_statements(faults: Iterable[DataRival]) -> Iterator[Statement]:
 def _statement(explanation: Explanation, probability: float, option: int) -> Statement:
     sure = probability_words(probability)
     if explanation.half_width:
-        factor, unit = spoken_unit(explanation.unit)
+        in_file, unit = explanation.effect.unit, explanation.effect.unit.spoken
+        factor = in_file.si / unit.si
         size = with_sigma(
             abs(explanation.value) * factor, SIGMAS_95 * explanation.sigma * factor, most=9
         )
-        sure += f", its size {size} {unit} (95 %)"
+        sure += f", its size {size} {unit.name} (95 %)"
     return Statement(sentence(explanation.words), sure, option, probability)
 
 

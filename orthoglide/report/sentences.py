@@ -12,7 +12,7 @@ from orthoglide.notes import Note
 from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
 from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text
-from orthoglide.report.fit_sentences import base_effects, improvement_words, unseen_effects_text
+from orthoglide.report.rows import base_effects, improvement_words, unseen_effects_text
 from orthoglide.result import Action, Change, Result
 from orthoglide.text import listed, lower_first, sentence
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal
 
 from orthoglide.numerals import probability
 from orthoglide.report.claims import claims
-from orthoglide.report.fit_sentences import weak_sentences
+from orthoglide.report.page import reason_not_to_enter
 from orthoglide.report.rows import (
     POSSIBLE_TITLES,
     parameter_rows,
     possible_rows,
     probable_candidates,
     score_rows,
+    weak_sentences,
 )
-from orthoglide.report.sections import reason_not_to_enter
 from orthoglide.report.sentences import (
     further_warnings,
     gain_words,
@@ -45,13 +45,8 @@ def summary(
     omitted_kind: str = "",
     with_paths: Callable[[str], str] = str,
 ) -> str:
-    """Return the result for the terminal.
-
-    Args:
-        result: the result.
-        all_candidates: whether all candidates are shown.
-        omitted_kind: kind of warnings that are left out.
-        with_paths: returns an advised command with the paths of its files.
+    """Return the result for the terminal, without warnings of ``omitted_kind``; ``with_paths``
+    returns an advised command with the paths of its files.
     """
     from rich.text import Text
 
@@ -130,7 +125,13 @@ def _width() -> int:
 
 def _tables(result: Result, all_candidates: bool) -> Iterator[Table]:
     """Yield the tables of causes, candidates, parameters and scores that are not empty."""
-    yield from table(("share of its finding", "cause"), _finding_rows(result))
+    shares = []
+    for claim in claims(result)[: len(result.effects) + len(result.located)]:
+        same = "".join(f"\nor {lower_first(one.words)}" for one in claim.same)
+        shares.append((probability(claim.first.probability), f"{claim.first.words}{same}"))
+        rivals = ((probability(r.probability), f"or {lower_first(r.words)}") for r in claim.rivals)
+        shares += rivals
+    yield from table(("share of its finding", "cause"), shares)
     alone = ((probability(one.probability), one.words) for one in result.alone)
     yield from table(("probability", "if it is the only cause"), alone)
     yield from table(POSSIBLE_TITLES, possible_rows(result))
@@ -165,12 +166,3 @@ def table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[Tab
     for row in lines[1:]:
         console_table.add_row(*row)
     yield console_table
-
-
-def _finding_rows(result: Result) -> Iterator[tuple[str, str]]:
-    """Yield the causes and free-form errors with their alternatives, most probable first."""
-    for claim in claims(result)[: len(result.effects) + len(result.located)]:
-        same = "".join(f"\nor {lower_first(one.words)}" for one in claim.same)
-        yield probability(claim.first.probability), f"{claim.first.words}{same}"
-        for one in claim.rivals:
-            yield probability(one.probability), f"or {lower_first(one.words)}"

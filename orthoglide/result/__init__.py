@@ -8,17 +8,15 @@ its computation in ``closing/fill.py``, a line in the table of ``docs/files.md``
 results are to be read without it, a default.
 """
 
-from orthoglide.result.advice import (
-    Action as Action,
-    Proposal as Proposal,
-    Suspect as Suspect,
-    Withheld as Withheld,
-)
 from orthoglide.result.codec import decoded as decoded, encoded as encoded
 from orthoglide.result.display import (
+    Action as Action,
     Mounting as Mounting,
     Picture as Picture,
+    Proposal as Proposal,
     ReadingsShown as ReadingsShown,
+    Suspect as Suspect,
+    Withheld as Withheld,
     Workspace as Workspace,
 )
 from orthoglide.result.findings import (

@@ -151,16 +151,11 @@ def _encoded_fields(value: Any) -> Any:
 
 
 def decoded(hint: Any, data: Any, shared: Mapping[type, Any], key: Key = Key()) -> Any:
-    """Return JSON data as a value of a type.
+    """Return JSON data, as `encoded` returned them, as a value of a type.
 
-    A missing key is read as the default of its field, if it has one.
-
-    Args:
-        hint: the type.
-        data: as `encoded` returned it.
-        shared: the instance of each type in ``CONTEXT_TYPES``, and of others that the file leaves
-            out.
-        key: how numbers are written in the file.
+    A missing key is read as the default of its field, if it has one. ``shared`` has the instance of
+    each type in ``CONTEXT_TYPES``, and of others that the file leaves out; ``key`` says how numbers
+    are written.
 
     Raises:
         KeyError, TypeError, ValueError: if the data are not of this type.

@@ -250,25 +250,20 @@ def read_result(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError):  # a number with thousands of digits, or as many brackets
         problem = "must be the result.json of a run"
     else:
-        problem = unprintable_problem(keys) or _result_problem(keys)
+        needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
+        missing = [n for n in needed if not isinstance(keys, dict) or n not in keys]
+        problem = unprintable_problem(keys)
+        if missing and not problem:
+            problem = f"has no {missing[0]!r}: give the result.json of a run as it was written"
+        if not problem and (keys["schema"] not in SCHEMAS or keys["command"] not in COMMANDS):
+            schema, command = (abbreviated(str(keys[name])) for name in ("schema", "command"))
+            problem = (
+                f"is of schema {schema}, command {command!r}: this version runs schema "
+                f"{' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
+            )
     if problem:
         raise FileError(problem, file=path, line=line)
     return dict(keys)
-
-
-def _result_problem(keys: Any) -> str:
-    """Return why keys are not those of a result that can be run again; empty if they are."""
-    needed = ("schema", "version", "command", "arguments", "seed", "inputs", "machine")
-    missing = [n for n in needed if not isinstance(keys, dict) or n not in keys]
-    if missing:
-        return f"has no {missing[0]!r}: give the result.json of a run as it was written"
-    if keys["schema"] in SCHEMAS and keys["command"] in COMMANDS:
-        return ""
-    schema, command = (abbreviated(str(keys[name])) for name in ("schema", "command"))
-    return (
-        f"is of schema {schema}, command {command!r}: this version runs schema "
-        f"{' and '.join(map(str, SCHEMAS))} of {', '.join(COMMANDS)} again"
-    )
 
 
 def version_text(keys: Mapping[str, Any]) -> str:
@@ -278,12 +273,8 @@ def version_text(keys: Mapping[str, Any]) -> str:
 
 
 def request_of(result: Mapping[str, Any], file: str, effects: Sequence[Effect] = ()) -> Request:
-    """Return the request of a run from its ``result.json``.
-
-    Args:
-        result: keys of the file.
-        file: its name, for messages.
-        effects: the user's own effects, if the run had any.
+    """Return the request of a run from the keys of its ``result.json``; ``file`` is its name for
+    messages, ``effects`` are the user's own ones, if the run had any.
 
     Raises:
         FileError: if a part of it was edited.

@@ -23,9 +23,16 @@ from orthoglide.notes import Note
 from orthoglide.observations import Readings
 from orthoglide.observations.reading import readings_of_table, rows_table
 from orthoglide.parameters import effect_name
-from orthoglide.result.advice import Action, Proposal, Withheld, advice_rows
 from orthoglide.result.codec import Key, Metres, decoded, encoded
-from orthoglide.result.display import Picture, ReadingsShown, Workspace
+from orthoglide.result.display import (
+    Action,
+    Picture,
+    Proposal,
+    ReadingsShown,
+    Withheld,
+    Workspace,
+    advice_rows,
+)
 from orthoglide.result.findings import CandidateScore, Cause, Explanation, Located, Possible
 from orthoglide.result.fits import (
     BudgetItem,

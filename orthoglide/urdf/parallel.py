@@ -54,12 +54,8 @@ class ParallelRobot:
 def parallel_robot_files(
     geometry: Geometry, urdf: str = "", loops: Sequence[Closure] | None = None
 ) -> dict[str, str]:
-    """Return both files of a machine, by name.
-
-    Args:
-        geometry: the machine's dimensions.
-        urdf: text of its tree, calibrated or not; the nominal one where absent.
-        loops: closures of the tree; those of the nominal machine where absent.
+    """Return both files of a machine, by name, with the text of its tree, calibrated or not, and
+    its closures; those of the nominal machine where absent.
     """
     loops = closures(geometry) if loops is None else loops
     kind_names = {kind: name for name, kind in _KINDS.items()}
@@ -179,8 +175,18 @@ def read_parallel_robot(folder: str | os.PathLike[str]) -> ParallelRobot:
         if not isinstance(motor, str) or motor not in names:
             text = f"must name joints of {ROBOT_URDF}, not {abbreviated(str(motor))}"
             lists.fail("name_mot", text)
-    moving = frozenset(name for name, kind in names.items() if kind not in ("fixed", "link"))
-    replaced = _joint_replacements(lists, moving)
+    moving = {name for name, kind in names.items() if kind not in ("fixed", "link")}
+    joints, kinds = lists.list_of("joint_name"), lists.list_of("joint_type")
+    if len(joints) != len(kinds):
+        lists.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
+    for joint, kind in zip(joints, kinds, strict=True):
+        if joint not in moving:
+            name = abbreviated(str(joint))
+            lists.fail("joint_name", f"must name moving joints of {ROBOT_URDF}, not {name}")
+        if kind not in _REPLACEMENTS:
+            allowed = " or ".join(_REPLACEMENTS)
+            lists.fail("joint_type", f"must be {allowed}, not {abbreviated(str(kind))}")
+    replaced = dict(zip(joints, kinds, strict=True))
     return ParallelRobot(urdf_path, urdf, tuple(loops), tuple(motors), replaced)
 
 
@@ -192,21 +198,6 @@ def _closure_problem(frames: Any, kind: Any, kinds: Collection[str], names: Coll
     if kind not in kinds:
         return f"must be of kind {' or '.join(kinds)}, not {abbreviated(str(kind))!r}"
     return ""
-
-
-def _joint_replacements(lists: _YamlLists, names: frozenset[str]) -> dict[str, str]:
-    joints, kinds = lists.list_of("joint_name"), lists.list_of("joint_type")
-    if len(joints) != len(kinds):
-        lists.fail("joint_type", f"has {len(kinds)} kinds for {len(joints)} joints: give one each")
-    for joint, kind in zip(joints, kinds, strict=True):
-        if joint not in names:
-            name = abbreviated(str(joint))
-            lists.fail("joint_name", f"must name moving joints of {ROBOT_URDF}, not {name}")
-        if kind not in _REPLACEMENTS:
-            allowed = " or ".join(_REPLACEMENTS)
-            text = f"must be {allowed}, not {abbreviated(str(kind))}"
-            lists.fail("joint_type", text)
-    return dict(zip(joints, kinds, strict=True))
 
 
 def _read_urdf(path: Path) -> tuple[str, dict[str, str]]:

@@ -15,10 +15,15 @@ import numpy as np
 
 from orthoglide.add_ons import Corrections, Paste, Section
 from orthoglide.firmware.imported import Imported as Imported
-from orthoglide.firmware.klipper import provenance
-from orthoglide.firmware.klipper.corrections import make_paste
 from orthoglide.firmware.klipper.importing import import_printer as import_printer
-from orthoglide.firmware.klipper.numbers import TOWERS, Numbers
+from orthoglide.firmware.klipper.numbers import (
+    FIRMWARE_NAME,
+    MAX_ROD_SPREAD,
+    TOWERS,
+    Numbers,
+    make_paste,
+    unequal_arms_warning,
+)
 from orthoglide.geometry import Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
@@ -47,26 +52,35 @@ _ASSUMED_SIZES = {
 class Printer:
     """The firmware's numbers of one machine and the table in which the import keeps them.
 
-    Implements `orthoglide.add_ons.Printer`.
+    It is an `orthoglide.add_ons.Printer`, and the class is the `orthoglide.add_ons.AddOn`.
     """
 
     numbers: Numbers
     table: Mapping[str, Any]
+    read = staticmethod(import_printer)
+
+    @classmethod
+    def stored(cls, table: Mapping[str, Any]) -> Printer | None:
+        """Return the printer of a table; ``None`` if the table was edited and has no numbers."""
+        try:
+            return cls(Numbers.from_table(table), table)
+        except (KeyError, TypeError, ValueError):
+            return None
 
     @property
     def meshes_relative(self) -> bool:
         """Whether the firmware subtracts the height at one place from every mesh."""
-        return bool(self.table.get(provenance.MESHES_RELATIVE_KEY))
+        return bool(self.table.get("meshes_relative"))
 
     @property
     def calibrate_again(self) -> bool:
         """Whether the firmware's own calibration is to be run again before anything is entered."""
-        return bool(self.table.get(provenance.CALIBRATE_AGAIN_KEY))
+        return bool(self.table.get("calibrate_again"))
 
     @property
     def changed_since(self) -> tuple[str, ...]:
         """What was moved or changed since the calibration, in sentences."""
-        texts = self.table.get(provenance.CHANGED_KEY)
+        texts = self.table.get("changed_since")
         return tuple(sentence(t) for t in texts) if isinstance(texts, list) else ()
 
     @property
@@ -109,7 +123,7 @@ class Printer:
         There is none either if the machine file declares the arms as measured: by a sigma beside
         lengths near the stored ones.
         """
-        if np.ptp(self.numbers.arm) <= provenance.MAX_ROD_SPREAD or machine.spec.measured.rods:
+        if np.ptp(self.numbers.arm) <= MAX_ROD_SPREAD or machine.spec.measured.rods:
             return ""
         effect = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
         errors = [machine.spec.parameters.get(f"{effect}.{tower}") for tower in TOWERS]
@@ -118,7 +132,7 @@ class Printer:
             and abs(error.value - (arm - machine.geometry.L)) <= _EQUAL_ARMS
             for error, arm in zip(errors, self.numbers.arm, strict=True)
         )  # fmt: skip
-        return "" if measured else provenance.unequal_arms_warning(self.numbers)
+        return "" if measured else unequal_arms_warning(self.numbers)
 
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield the remarks of the import for a result of readings of these names.
@@ -126,7 +140,7 @@ class Printer:
         A remark that two campaigns disagree is kept only if one of them was read without the other:
         where both are read, it is found again.
         """
-        warnings = self.table.get(provenance.WARNINGS_KEY)
+        warnings = self.table.get("warnings")
         for text in warnings if isinstance(warnings, list) else ():
             files = _FILE.findall(text) if isinstance(text, str) else []
             if isinstance(text, str) and (
@@ -139,7 +153,7 @@ class Printer:
         them.
         """
         explanations = (e for cause in causes for e in cause.explanations)
-        assumed, geometry = self.table.get(provenance.ASSUMED_KEY), machine.geometry
+        assumed, geometry = self.table.get("assumed_mm"), machine.geometry
         of_machine = any(not e.catalogue.effect_of(e.name).of_dial for e in explanations)
         if not (of_machine and isinstance(assumed, Mapping)):
             return
@@ -159,9 +173,9 @@ class Printer:
 
     def provenance(self, corrections: Any) -> Mapping[str, Any]:
         """Return the table that a calibrated machine keeps, by its name."""
-        table = {key: value for key, value in self.table.items() if key != provenance.CORRECTED_KEY}
-        corrected = {} if corrections is None else {provenance.CORRECTED_KEY: corrections.kept}
-        return {provenance.FIRMWARE_NAME: table | corrected}
+        table = {key: value for key, value in self.table.items() if key != "corrected"}
+        corrected = {} if corrections is None else {"corrected": corrections.kept}
+        return {FIRMWARE_NAME: table | corrected}
 
     def corrections(self, machine: Any, readings: Sequence[Any]) -> Corrections | None:
         """Return new numbers for a calibrated machine; ``None`` if the readings give none."""
@@ -190,20 +204,7 @@ class Printer:
 
     def paste(self) -> Paste:
         """Return the numbers that a calibrated machine keeps."""
-        return make_paste(self.numbers, self.table.get(provenance.CORRECTED_KEY))
+        return make_paste(self.numbers, self.table.get("corrected"))
 
 
-class Klipper:
-    """Support for the firmware, an `orthoglide.add_ons.AddOn`."""
-
-    read = staticmethod(import_printer)
-
-    def stored(self, table: Mapping[str, Any]) -> Printer | None:
-        """Return the printer of a table; ``None`` if the table was edited and has no numbers."""
-        try:
-            return Printer(Numbers.from_table(table), table)
-        except (KeyError, TypeError, ValueError):
-            return None
-
-
-ADD_ON = Klipper()
+ADD_ON = Printer

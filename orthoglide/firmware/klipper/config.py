@@ -154,12 +154,8 @@ class Config:
     def leaving_out(
         self, what: str = "", kind: str = "readings", instead: str = ""
     ) -> Iterator[None]:
-        """Leave out what is read within the block, with a note, if the file has it wrong.
-
-        Args:
-            what: is left out, if it is more than the value.
-            kind: of the note.
-            instead: what is taken, if anything.
+        """Leave out what is read within the block, with a note of a kind, if the file has it wrong;
+        ``instead``: what is taken, if anything.
         """
         try:
             yield
@@ -264,10 +260,12 @@ def _saved_lines(lines: Lines, file: str) -> Lines:
     ]  # fmt: skip
 
 
-def _lost_headers(saved: Config) -> Iterator[Note]:
-    """Yield a note if a section lost its header: a key stands twice in the section above, or is one
-    that SAVE_CONFIG writes only in sections of another kind.
+def _add_saved(config: Config, saved: Config) -> None:
+    """Add values of SAVE_CONFIG that the owner did not write, with a note on conflicting ones, and
+    one if a section lost its header: a key stands twice in the section above, or is one that
+    SAVE_CONFIG writes only in sections of another kind.
     """
+    conflicts = list[str]()
     misplaced = [
         (line, f"{key} stands twice in [{name}]", "it") for line, key, name in saved.repeated_keys
     ]
@@ -277,19 +275,14 @@ def _lost_headers(saved: Config) -> Iterator[Note]:
         for kind, keys in _SAVED_KEYS.items()
         if name.partition(" ")[0] != kind and keys.fullmatch(key)
     ]  # fmt: skip
+    config.notes += saved.notes
     for line, finding, header in sorted(misplaced)[:1]:
-        yield Note(
+        config.note(
+            BROKEN_HEADER,
             f"{saved.file}, line {line}: {finding}, so the header above it was lost: write "
             f"{header} there, else what stands below it is left out, or remove the line if "
             f"you added it",
-            BROKEN_HEADER,
         )
-
-
-def _add_saved(config: Config, saved: Config) -> None:
-    """Add values of SAVE_CONFIG that the owner did not write, with a note on conflicting ones."""
-    conflicts = list[str]()
-    config.notes += [*saved.notes, *_lost_headers(saved)]
     for name, section in saved.sections.items():
         target = config.sections.setdefault(name, section)
         for key, below in section.entries.items():

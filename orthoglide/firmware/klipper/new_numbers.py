@@ -14,10 +14,14 @@ import numpy as np
 
 from orthoglide.accuracy import drawn_errors, lack_of_gain
 from orthoglide.add_ons import Corrections
-from orthoglide.firmware.klipper.corrections import ResidualChange, corrections_of, make_record
 from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY, PROBE_REPEATABILITY
-from orthoglide.firmware.klipper.numbers import Numbers
-from orthoglide.firmware.klipper.provenance import CALIBRATION
+from orthoglide.firmware.klipper.numbers import (
+    CALIBRATION,
+    Numbers,
+    ResidualChange,
+    corrections_of,
+    make_record,
+)
 from orthoglide.geometry import Array, fit_plane, plane_columns
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings
@@ -72,7 +76,9 @@ def new_numbers(
     widest = max(reach, default=0.0)
     if widest < _MIN_REACH * old.delta_radius:
         return None
-    points = _grid_points(widest)
+    ring, angle = np.meshgrid(_RINGS, np.arange(_RAYS) * 2 * np.pi / _RAYS)
+    x, y = widest * ring.ravel() * [np.cos(angle.ravel()), np.sin(angle.ravel())]
+    points = np.stack([x, y, 0 * x], axis=1)
     plane = plane_columns(points) @ _zero_plane(touched, plates, reach, meshes_relative)
     wanted = points + np.outer(plane, [0.0, 0.0, 1.0])
     commands = machine.inverse(wanted)
@@ -275,10 +281,3 @@ def _without_rigid_motion(points: Array, along: Array) -> Array:
     turn = np.linalg.qr(moves.reshape(-1, 3))[0]
     flat = along.reshape(*along.shape[:-2], -1)
     return np.asarray(flat - flat @ turn @ turn.T).reshape(along.shape)
-
-
-def _grid_points(radius: float) -> Array:
-    """Return points on rings on a plate ``(g, 3)``, metres."""
-    ring, angle = np.meshgrid(_RINGS, np.arange(_RAYS) * 2 * np.pi / _RAYS)
-    x, y = radius * ring.ravel() * [np.cos(angle.ravel()), np.sin(angle.ravel())]
-    return np.stack([x, y, 0 * x], axis=1)
