@@ -7,10 +7,10 @@ quadratic of the 2008 chapter, eq. (4).
 
 import numpy as np
 import pinocchio as pin
-from orthoglide.mechanism.constraints import Constraints
 
 import orthoglide as og
 from orthoglide import reduction
+from orthoglide.mechanism.mechanism import Constraints
 from orthoglide.mechanism.tree import load
 
 rho = np.array([0.300, 0.310, 0.325])  # commands of the drives, metres

@@ -1,7 +1,7 @@
 """The weighted least-squares problem around one point: nuisances, priors, covariance.
 
 Minimised is ``|V (y - f(x) - U z)|^2 + |W x - t|^2 + sum(precision z^2)``, where ``V`` weighs rows
-by their noise (see `fit.weighing`), ``U`` holds the nuisances of all factors (see `fit.factors`),
+by their noise (see `fit.noise`), ``U`` holds the nuisances of all factors (see `fit.factors`),
 and ``W``, ``t`` are the priors. The nuisances z are linear and are projected out.
 """
 

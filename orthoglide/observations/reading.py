@@ -179,10 +179,16 @@ def read_readings(
 ) -> tuple[Readings, ...]:
     """Read a file of readings of any kinds into separate tables of legs and of the tool.
 
-    Arguments and errors are those of `read_campaign`.
+    Args:
+        path: as for `read_campaign`.
+        machine_file: as for `read_campaign`.
+        require_readings: as for `read_campaign`.
 
     Returns:
         A table of readings of legs, with the moves, a table of those of the tool, or both.
+
+    Raises:
+        FileError: naming the line and what would be right.
     """
     return split_legs_and_tool(read_campaign(path, machine_file, require_readings))
 
@@ -191,10 +197,15 @@ def read_readings(
 def read_tcp(path: str | os.PathLike[str], machine_file: AnyMachine | None = None) -> Readings:
     """Read a file with a row for each measured position of the tool.
 
-    Arguments and errors are those of `read_campaign`.
+    Args:
+        path: as for `read_campaign`.
+        machine_file: as for `read_campaign`.
 
     Returns:
         Readings of kind ``tcp``, one for each coordinate that is not empty.
+
+    Raises:
+        FileError: naming the line and what would be right.
     """
     table = read_table(path)
     return _points_of_table(table, Path(table.file).stem, machine_file_of(machine_file))

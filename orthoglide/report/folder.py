@@ -191,18 +191,24 @@ def write_folder(out: Path, files: Mapping[str, str | bytes], overwrite: bool = 
                 path = temporary / name
                 path.parent.mkdir(exist_ok=True)
                 path.write_bytes(content.encode() if isinstance(content, str) else content)
-            # The earlier folder is removed only afterwards. The system refuses to replace a folder
-            # that another process has just filled.
-            earlier = temporary.with_name(f"{temporary.name}-earlier")
-            if overwrite and target.is_dir() and any(target.iterdir()):
-                target.rename(earlier)
-            try:
-                temporary.rename(target)
-            except BaseException:
-                if earlier.exists():
-                    earlier.rename(target)
-                raise
-            shutil.rmtree(earlier, ignore_errors=True)
+            _move_into_place(temporary, target, overwrite)
         except BaseException:
             shutil.rmtree(temporary, ignore_errors=True)
             raise
+
+
+def _move_into_place(temporary: Path, target: Path, overwrite: bool) -> None:
+    """Rename a folder to a name that may exist; the earlier folder is removed only afterwards.
+
+    The system refuses to replace a folder that another process has just filled.
+    """
+    earlier = temporary.with_name(f"{temporary.name}-earlier")
+    if overwrite and target.is_dir() and any(target.iterdir()):
+        target.rename(earlier)
+    try:
+        temporary.rename(target)
+    except BaseException:
+        if earlier.exists():
+            earlier.rename(target)
+        raise
+    shutil.rmtree(earlier, ignore_errors=True)
