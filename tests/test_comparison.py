@@ -10,10 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from orthoglide import Machine, reduction
-from orthoglide.cli import cli
 from orthoglide.comparison import Row, compare_effects, compare_machine
 from orthoglide.comparison.comparing import PITCH, Comparison, cube, markdown_table, micrometres
 from orthoglide.errors import InputError
@@ -21,6 +19,7 @@ from orthoglide.geometry import Geometry
 from orthoglide.layout import FreeLeg, FreeLegs
 from tests.engines import DELTA
 from tests.rig import Array, Rig
+from tests.test_cli import done, run
 
 ROOT = Path(__file__).parents[1]
 SOME = ("joint_offset.y", "axis_offset.x.y", "axis_tilt.z.y", "bar_mismatch.y", "backlash.x")
@@ -166,22 +165,16 @@ def test_the_page_has_the_numbers_that_the_example_prints() -> None:
 # -- the command --------------------------------------------------------------------------------
 
 
-def invoke(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli, ["compare", *arguments])
-    return result.exit_code, result.output
-
-
 @pytest.mark.thorough
 def test_the_command_writes_tables_and_figures(tmp_path: Path) -> None:
     file, out = tmp_path / "calibrated.toml", tmp_path / "out"
     Machine.nominal().with_parameters({"bar_mismatch.y": 1e-4}).save(file)
-    code, text = invoke("--machine", str(file), "--effects", "mount_tilt.x.b", "--out", str(out))
-    assert code == 0, text
-    assert "mount_tilt.x.b" in text
+    told = done("compare", "--machine", file, "--effects", "mount_tilt.x.b", "--out", out)
+    assert "mount_tilt.x.b" in told
     files = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
     assert files == {"table.md", "figures/machine.svg", "figures/mount_tilt.x.b.svg"}
     shown = re.findall(r"^\| `(.*?)`", (out / "table.md").read_text(), re.MULTILINE)
     assert shown == ["machine", "bar_mismatch.y", "mount_tilt.x.b"]
-    again = invoke("--effects", "mount_tilt.x.b", "--out", str(out))
-    assert again[0] == 2
-    assert "overwritten" in again[1]
+    again = run("compare", "--effects", "mount_tilt.x.b", "--out", out)
+    assert again.exit_code == 2
+    assert "overwritten" in again.output

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from click.testing import CliRunner
 
 from orthoglide import Machine, UnreachableError
 from orthoglide.accuracy import tcp_slopes, workspace_commands
-from orthoglide.cli import cli
 from orthoglide.control import (
     RULE,
     calibrated_urdf,
@@ -33,11 +31,10 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import LEGS, Geometry
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import Controller, Posterior
-from orthoglide.mechanism.mechanism import Constraints
-from orthoglide.mechanism.tree import Tree, general_tree
 from orthoglide.prediction import Conditions
-from orthoglide.urdf import closures, read_looped_urdf
+from orthoglide.urdf import read_looped_urdf
 from tests.rig import Array, Rig
+from tests.test_cli import done, run
 
 PITCH = 0.02
 L = Geometry().L
@@ -92,22 +89,6 @@ def test_compensated_commands_bring_the_independent_machine_to_the_points() -> N
     assert plan.error_before == pytest.approx(before, abs=5e-9)
 
 
-def test_lost_motion_follows_the_order_of_the_path() -> None:
-    worn = machine({"backlash.x": 1e-4})
-    there, back = np.array([[0.0, 0, 0], [0.01, 0, 0], [0.0, 0, 0]]), (0, 2)
-    plan = compensate(worn, there)
-    assert plan.approach[:, 0].tolist() == [1, 1, -1]
-    assert plan.rho[back[0], 0] - plan.rho[back[1], 0] == pytest.approx(1e-4, abs=1e-7)
-    # Moves shorter than the lost motion, each reversing: the command must still reverse.
-    tiny = np.zeros((6, 3))
-    tiny[1::2, 0] = 2e-5
-    plan = compensate(worn, tiny)
-    assert plan.approach[:, 0].tolist() == [1, 1, -1, 1, -1, 1]
-    assert (
-        misses(Rig(errors={"backlash.x": 1e-4}).pose(plan.rho, plan.approach).p, tiny).max() < 5e-9
-    )
-
-
 @pytest.mark.parametrize("step", [2e-3, 2e-5])
 def test_a_drive_that_creeps_turns_all_the_same(step: float) -> None:
     """Across the middle of a line in x, where the other drives turn, in steps however fine."""
@@ -145,17 +126,6 @@ def test_points_out_of_reach_name_their_row(
     assert caught.value.index == (2,)
     assert "row 3" in str(caught.value)
     assert caught.value.leg == leg or not leg
-
-
-@pytest.mark.parametrize("path", [np.zeros((0, 3)), np.zeros(3), np.zeros((2, 2))])
-def test_what_is_no_path_is_refused(path: Array) -> None:
-    with pytest.raises(InputError, match="shape"):
-        compensate(Machine.nominal(), path)
-
-
-def test_a_point_that_is_no_number_is_refused() -> None:
-    with pytest.raises(InputError, match="row 2"):
-        compensate(Machine.nominal(), [[0, 0, 0], [0, np.nan, 0]])
 
 
 # -- expected accuracy --------------------------------------------------------------------------
@@ -276,8 +246,7 @@ def test_a_controller_that_takes_zeros_alone_reads_of_nothing_else(tmp_path: Pat
     }  # fmt: skip
     machine(errors).save(tmp_path / "m.toml")
     out = tmp_path / "zeros"
-    asked = ("export", "--machine", str(tmp_path / "m.toml"), "--zeros-only", "--out", str(out))
-    assert invoke(*asked)[0] == 0
+    done("export", "--machine", tmp_path / "m.toml", "--zeros-only", "--out", out)
     assert {p.name for p in out.iterdir()} == {"controller.txt", "controller.json"}
 
 
@@ -401,56 +370,16 @@ def test_numbers_not_to_be_acted_on_are_withheld(kept: dict[str, object], tmp_pa
         assert ask(plain.with_provenance({"verdict": "ambiguous"}))
     doubtful.save(tmp_path / "m.toml")
     path = write_path(tmp_path / "path.csv", circle(3))
-    common = ("--machine", str(tmp_path / "m.toml"), "--out")
-    for command, out in (("export", "a"), ("compensate", "b.csv")):
-        first = (command, str(path)) if command == "compensate" else (command,)
-        code, text = invoke(*first, *common, str(tmp_path / out))
-        assert code == 2
-        assert "withheld" in text
+    common = ("--machine", tmp_path / "m.toml", "--out")
+    for first, out in ((("export",), "a"), (("compensate", path), "b.csv")):
+        refused = run(*first, *common, tmp_path / out)
+        assert refused.exit_code == 2
+        assert "withheld" in refused.stderr
         assert not (tmp_path / out).exists()
-        assert invoke(*first, *common, str(tmp_path / out), "--force")[0] == 0
+        done(*first, *common, tmp_path / out, "--force")
 
 
 # -- URDF ---------------------------------------------------------------------------------------
-
-COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
-
-
-def tree_of(text: str) -> Tree:
-    motors = tuple(f"{leg}_slide" for leg in LEGS)
-    return general_tree(Tree.of_model(pin.buildModelFromXML(text), closures(Geometry()), motors))
-
-
-def closed_tcp(tree: Tree, travel: Array) -> Array:
-    """TCP of a tree as loaded, its loops closed by Newton (least squares) from neutral."""
-    constraints, q = Constraints(tree), np.zeros(tree.model.nq)
-    q[tree.drive] = travel
-    for _ in range(25):
-        residual = constraints.residual(q)
-        step = np.linalg.lstsq(constraints.newton_matrix()[:, tree.free], residual, rcond=1e-9)[0]
-        q[tree.free] -= step
-        if np.abs(step).max() < 1e-14:
-            break
-    assert np.abs(constraints.residual(q)).max() < 1e-11
-    pin.framesForwardKinematics(tree.model, constraints.data, q)
-    return np.array(constraints.data.oMf[tree.model.getFrameId(tree.tool)].translation)
-
-
-def test_with_relief_joints_all_constant_geometry_is_held() -> None:
-    values = constant_geometry(machine(everything()))
-    assert len(values) > 30
-    tree = tree_of(calibrated_urdf(machine(values)))
-    slope = np.zeros(3)
-    for leg in range(3):
-        across = [j for j in range(3) if j != leg]
-        lateral = [
-            sum(values[f"{f}.{LEGS[leg]}.{LEGS[j]}"] for f in ("axis_tilt", "rail_tilt"))
-            for j in across
-        ]
-        slope[leg] = np.hypot(*lateral)
-    for rho, p in zip(COMMANDS_RHO, machine(values).forward(COMMANDS_RHO), strict=True):
-        found = closed_tcp(tree, (rho - L) * np.sqrt(1 + slope**2))
-        assert np.abs(found - p).max() < 1e-9
 
 
 def test_the_comment_says_what_is_left_out() -> None:
@@ -464,45 +393,46 @@ def test_the_comment_says_what_is_left_out() -> None:
     assert pin.buildModelFromXML(text).nq == 18
 
 
-def test_an_exported_urdf_is_not_given_its_errors_twice(tmp_path: Path) -> None:
+COMMANDS_RHO = L + np.random.default_rng(7).uniform(-0.08, 0.05, (6, 3))
+
+
+def test_an_exported_urdf_has_all_constant_geometry_and_is_not_given_it_twice(
+    tmp_path: Path,
+) -> None:
     """With the calibrated machine every error counted twice, without a word."""
-    calibrated = machine({"joint_offset.x": 5e-3, "leg_length.y": 1e-4})
+    values = constant_geometry(machine(everything()))
+    assert len(values) > 30
+    calibrated = machine(values)
     for name, text in export_files(calibrated).items():
         (tmp_path / name).write_text(text)
     exported = Machine.from_urdf(tmp_path)
+    # A drive of the file moves along the path of its carriage, which is longer than its travel.
+    lateral = [
+        [
+            sum(values[f"{f}.{leg}.{j}"] for f in ("axis_tilt", "rail_tilt"))
+            for j in LEGS
+            if j != leg
+        ]
+        for leg in LEGS
+    ]
+    along = L + (COMMANDS_RHO - L) * np.sqrt(1 + np.sum(np.square(lateral), axis=1))
     expected = calibrated.forward(COMMANDS_RHO)
-    assert np.abs(exported.forward(COMMANDS_RHO) - expected).max() < 1e-9
+    assert np.abs(exported.forward(along) - expected).max() < 1e-9
+    assert np.abs(exported.by_pinocchio().forward(along) - expected).max() < 1e-9
     with pytest.raises(InputError, match="count twice: give it with the nominal machine"):
         Machine.from_urdf(tmp_path, calibrated)
     # What is found later, of the machine that the URDF describes, is added.
     later = Machine.from_urdf(tmp_path, machine({"joint_offset.x": 1e-4}))
-    assert later.forward(COMMANDS_RHO)[0, 0] - expected[0, 0] == pytest.approx(1e-4, rel=0.1)
+    assert later.forward(along)[0, 0] - expected[0, 0] == pytest.approx(1e-4, rel=0.1)
 
 
 # -- files and commands -------------------------------------------------------------------------
-
-
-def invoke(*arguments: str) -> tuple[int, str]:
-    result = CliRunner().invoke(cli, list(arguments))
-    return result.exit_code, result.output
 
 
 def write_path(path: Path, points: Array) -> Path:
     lines = ["p_x_mm,p_y_mm,p_z_mm", *(",".join(f"{x * 1e3:.4f}" for x in p) for p in points)]
     path.write_text("\n".join(lines) + "\n")
     return path
-
-
-def test_a_point_out_of_reach_names_file_and_line(tmp_path: Path) -> None:
-    Machine.nominal().save(tmp_path / "m.toml")
-    path = write_path(tmp_path / "path.csv", np.array([[0, 0, 0], [0.3, 0, 0]]))
-    out = tmp_path / "commands.csv"
-    code, text = invoke(
-        "compensate", str(path), "--machine", str(tmp_path / "m.toml"), "--out", str(out)
-    )
-    assert code == 2
-    assert "path.csv, line 3" in text
-    assert not out.exists()
 
 
 def test_a_path_in_metres_is_doubted(tmp_path: Path) -> None:

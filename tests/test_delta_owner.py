@@ -8,22 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
 from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as nominal
-from orthoglide.cli import cli
 from orthoglide.errors import InputError
 from orthoglide.machine import Machine
 from orthoglide.verdict import Verdict, close_loop
 from tests.klipper_files import DATA
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
+from tests.test_cli import run as run_plainly
 
 
 def run(*args: object, code: int = 0) -> str:
-    done = CliRunner().invoke(cli, [str(a) for a in args])
+    done = run_plainly(*args)
     assert done.exit_code == code, done.output
     return " ".join(done.output.split())
 
@@ -175,18 +174,9 @@ def test_a_mesh_ends_in_a_class_and_in_numbers_for_the_firmware(
     assert "Measure the rods" in firmware["first"]
     assert firmware["old"]["delta_radius_mm"] == 162.820595
     assert firmware["height_rms_mm"][1] < firmware["height_rms_mm"][0]
-    reasons = " ".join(s["reason"] for s in told["next_measurements"])
-    assert "level at the tool" in reasons
     first, second = (s["reason"] for s in told["next_measurements"][:2])
-    lobes = '"the plate of default_25Probe has three high and three low sides"'
     assert "turned by 60 degrees" in first  # the likeliest is the plate's own
-    assert "turned by 60 degrees" in next(
-        a["words"] for a in told["actions"] if a["action"] == "measure"
-    )
     assert "measure distances" in second  # a level turns neither of the paths' errors
-    for reason in (first, second):
-        assert f'it separates {lobes} from "the paths of the carriages are out of square' in reason
-        assert '"the towers lean' in reason
     sheet = "orthoglide design --owns distance --machine machine.toml --out distance.csv"
     assert sheet in second
     page = (done / "report.html").read_text()

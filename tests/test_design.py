@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from click.testing import CliRunner
 from scipy.stats import ncx2
 
 import orthoglide as og
 from benchmarks.delta_readings import measured as read_by
 from benchmarks.delta_truth import machine as delta
-from orthoglide.cli.measuring import design as design_command
 from orthoglide.closing import next_measurements as suggested
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
@@ -38,12 +36,12 @@ from orthoglide.planning import (
 from orthoglide.planning.designs import Observability
 from orthoglide.planning.detectable import noncentrality, required_separation
 from orthoglide.planning.linear import CombinationPrecision, LinearReadings, RivalSeparation
-from orthoglide.planning.sheets import DIAL_TRAVEL
 from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, s_curve, simulate, write_csv
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
+from tests.test_cli import run
 
 RIG = Path(__file__).parent / "data" / "rig"
 TEXT = {"setup", "leg", "direction", "posture", "bar", "kind"}
@@ -68,25 +66,6 @@ def as_numbers(rows):
 
 
 # -- the pool ------------------------------------------------------------------------------------
-
-
-def test_the_pool_stays_within_stroke_dial_and_leg(machine):
-    pool = reading_pool(machine.geometry)
-    assert machine.geometry.in_stroke(pool.command).all()
-    beyond = pool.command - 1e-3 * pool.approach  # where it has to come from
-    assert machine.geometry.in_stroke(beyond).all()
-    shown = og.Machine.nominal().readings(pool)
-    for k in range(len(pool.setups)):
-        own = shown[pool.setup == k]  # a bar stands half a short link off the median line
-        at_zero = own[np.array(pool.posture)[pool.setup == k] == "+0"][0]
-        assert np.abs(own - at_zero).max() <= DIAL_TRAVEL + 1e-9
-    assert {s.bar for s in pool.setups} == {0, 1, 2}
-    assert len({s.name for s in pool.setups}) == len(pool.setups)
-    assert set(np.unique(pool.approach)) == {-1.0, 1.0}
-    off_axis = np.linalg.norm(machine.forward(pool.command), axis=1) - np.abs(
-        machine.forward(pool.command)
-    ).max(axis=1)
-    assert off_axis.max() > 1e-4
 
 
 # -- one step at a time is exact -----------------------------------------------------------------
@@ -115,21 +94,6 @@ def stepwise(readings, criterion, rows):
             place = int(np.flatnonzero(steps.rows[:, 1] == own[i])[0])
             criterion = criterion.with_step(steps, place)
     return criterion
-
-
-@pytest.mark.parametrize("combinations", [np.eye(3), np.array([[1.0], [0.0], [-1.0]])])
-def test_steps_add_up_to_the_whole_and_gain_what_they_promise(readings, combinations):
-    rows, prior = some_rows(readings), np.diag([0.5, 1.0, 1 / 3])
-    start = CombinationPrecision(prior, combinations)
-    after = stepwise(readings, start, rows)
-    covariance = np.linalg.inv(prior + readings.information(rows))
-    narrowed = combinations.T @ covariance @ combinations
-    assert after.value == pytest.approx(-np.linalg.slogdet(narrowed)[1], rel=1e-5)
-    assert start.with_rows(readings, rows).value == pytest.approx(after.value, rel=1e-6)
-    steps = readings.next_steps(rows, 4)
-    for k in (0, len(steps.rows) - 1):
-        risen = after.with_step(steps, k).value - after.value
-        assert after.gains(steps)[k] == pytest.approx(risen, rel=1e-6)
 
 
 def test_rivals_are_as_far_apart_as_least_squares_says(readings):
@@ -192,17 +156,6 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     assert found.value > max(random) + 3
     standard = observability(machine, protocol("standard"), CATALOGUE.base)
     assert found.indices.indices["O1"] > standard.indices["O1"]
-
-
-@pytest.mark.parametrize("count", [2, 3, 12])
-def test_a_design_is_a_sheet_that_reads_back(machine, count, tmp_path):
-    campaign = design(machine, CATALOGUE.base, count).campaign
-    assert len(campaign) == count
-    og.write_campaign(campaign, tmp_path / "sheet.csv")
-    again = og.read_campaign(tmp_path / "sheet.csv", machine.spec, require_readings=False)
-    assert np.array_equal(again.command, campaign.command)
-    assert np.array_equal(again.approach, campaign.approach)
-    assert again.setups == campaign.setups
 
 
 @pytest.mark.parametrize(
@@ -432,7 +385,7 @@ def test_a_design_filled_in_row_by_row_gives_the_verdict(machine, tmp_path):
 def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
     out = tmp_path / "sheet.csv"
     arguments = ["--machine", str(RIG / "machine.toml"), "--count", "12", "--out", str(out)]
-    done = CliRunner().invoke(design_command, [*arguments, "--want", "TCP=0.003"])
+    done = run("design", *arguments, "--want", "TCP=0.003")
     assert done.exit_code == 0, done.output
     assert len(og.read_campaign(out, machine.spec, require_readings=False)) == 12
     for word in (
@@ -442,10 +395,7 @@ def test_the_command_writes_a_sheet_and_compares(tmp_path, machine):
         "sigma 0.003 mm of TCP (tolerances as priors) takes",
     ):
         assert word in done.output
-    again = CliRunner().invoke(design_command, arguments)
-    assert isinstance(again.exception, InputError)
-    wrong = CliRunner().invoke(design_command, ["--want", "TCP"])
-    assert isinstance(wrong.exception, InputError)
+    assert run("design", "--want", "TCP").exit_code == 2
 
 
 # -- located errors that readings cannot separate --------------------------------------------------

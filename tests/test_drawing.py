@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from orthoglide.scene.marks import arrow
 
 import orthoglide as og
 from orthoglide.effects import Catalogue
@@ -170,3 +171,8 @@ def test_an_arrow_across_a_rail_is_seen_beside_it(kind: str) -> None:
         (x, y), *across = ((across_paper @ a, down @ a) for a in leg.axes.T)
         for u, v in across:
             assert abs(x * v - y * u) / np.hypot(x, y) > 0.2
+
+
+def test_an_arrow_that_is_seen_from_its_end_is_not_drawn() -> None:
+    posture = posed("orthoglide")
+    assert arrow(posture.p, posture.p, blank_paper(posture), "red") == ""

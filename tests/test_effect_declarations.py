@@ -11,10 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.effects import CATALOGUE, Effect, Motion, Words, cos, once, sin
 from orthoglide.effects.custom import load_effects
 from orthoglide.effects.dials import dial_free_forms
@@ -22,9 +20,9 @@ from orthoglide.effects.effect import Constant, sideways
 from orthoglide.effects.wording import cause_words, confirm_words, value_words
 from orthoglide.errors import InputError
 from orthoglide.parameters import Parameter
-from orthoglide.prediction import MeasurementModel
 from orthoglide.result import Explanation
 from orthoglide.units import MM
+from tests.test_cli import run
 
 PACKAGE = Path(og.__file__).parent
 
@@ -62,17 +60,6 @@ def sheet(machine: og.Machine) -> og.Campaign:
 def machine() -> og.Machine:
     rough = og.Machine.load(Path(__file__).parent / "data" / "rig" / "machine.toml")
     return rough.with_effects([CARRIAGE_PLAY, SECOND_HARMONIC])
-
-
-def test_an_effect_by_approach_shows_in_the_readings(machine: og.Machine) -> None:
-    """It moved the TCP and changed no reading, as equal conditions were merged by a name."""
-    name, value = "carriage_play.x.b", 1e-4
-    campaign = sheet(machine)
-    shown = machine.with_parameters({name: value}).readings(campaign) - machine.readings(campaign)
-    touched = (campaign.leg == 0) & (campaign.approach[:, 0] != 0)
-    assert np.abs(shown[touched]).max() > 0.2 * value
-    linear = MeasurementModel(campaign).linearise(machine.model, {}, [name]).jacobian[:, 0] * value
-    np.testing.assert_allclose(shown, linear, atol=1e-8)
 
 
 def test_words_are_texts_with_blanks_or_functions() -> None:
@@ -197,16 +184,14 @@ def test_ones_own_effect_on_the_command_line(machine: og.Machine, tmp_path: Path
     og.write_campaign(og.simulate(worn, sheet(machine), noise=5e-6, seed=4), campaign)
     effects = ["--effects-file", str(PACKAGE.parent / "examples" / "carriage_play.py")]
     given = ["--machine", str(Path(__file__).parent / "data" / "rig" / "machine.toml"), *effects]
-    done = CliRunner().invoke(
-        cli, ["close-loop", str(campaign), "--out", str(out), "--quiet", *given]
-    )
+    done = run("close-loop", campaign, "--out", out, "--quiet", *given)
     assert done.exit_code == 0, done.output
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert result["effects"][0]["name"].startswith("carriage_play")
-    without = CliRunner().invoke(cli, ["rerun", str(out / "result.json")])
+    without = run("rerun", out / "result.json")
     assert without.exit_code == 2
     assert "--effects-file" in without.output
-    again = CliRunner().invoke(cli, ["rerun", str(out / "result.json"), *effects])
+    again = run("rerun", out / "result.json", *effects)
     assert again.exit_code == 0, again.output
 
 
@@ -231,11 +216,11 @@ def test_a_machine_with_ones_own_effect_is_read_by_every_command(
         ("compare", "--effects", "carriage_play", "--no-figures", "--out", "compared", *given),
     ]
     for command in commands:
-        without = CliRunner().invoke(cli, command)
+        without = run(*command)
         assert without.exit_code == 2, command
         assert "there is no parameter 'carriage_play.y.b'" in without.output
         assert "--effects-file FILE.py" in without.output
-        done = CliRunner().invoke(cli, [*command, "--effects-file", OWN_FILE])
+        done = run(*command, "--effects-file", OWN_FILE)
         assert done.exit_code == 0, done.output
     with pytest.raises(InputError, match=r"Machine\.load\(FILE, effects=\[\.\.\.\]\)"):
         og.Machine.load("worn.toml")

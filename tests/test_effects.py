@@ -16,9 +16,8 @@ from orthoglide import reduction
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.effect import Group
 from orthoglide.errors import InputError
-from orthoglide.geometry import LEGS, Geometry
+from orthoglide.geometry import Geometry
 from orthoglide.mechanism.six_bars import LINES, ROTATION, TCP
-from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from orthoglide.observations import Readings, Setup
 from orthoglide.prediction import Conditions, MeasurementModel, Model
 from orthoglide.prediction.measurement_model import LinearRows
@@ -43,7 +42,6 @@ DIAL_PARAMETERS = tuple(
     if family.group == "dial"
     for setup in (SETUPS[1], SETUPS[3])
 )
-MACHINE = pytest.mark.parametrize("name", CATALOGUE.parameters)
 NAMES = CATALOGUE.parameters + DIAL_PARAMETERS
 EVERY = pytest.mark.parametrize("name", NAMES)
 
@@ -148,22 +146,10 @@ def test_every_family_is_declared_in_full(name: str) -> None:
     assert bool(family.parameters()) != family.of_dial
 
 
-def test_no_two_families_say_the_same() -> None:
-    assert len({family.sentence for family in CATALOGUE.values()}) == len(CATALOGUE)
-
-
 def test_catalogue_and_rig_know_the_same_parameters() -> None:
     names = [setup.name for setup in SETUPS]
     of_legs = [name for name, effect in CATALOGUE.items() if not effect.plate]
     assert set(CATALOGUE.expand(of_legs, names)) == set(parameter_names(names))
-
-
-@MACHINE
-def test_motions_are_of_joints_that_exist(name: str) -> None:
-    leg, motions = CATALOGUE.motions[name]
-    assert leg == LEGS.index(name.leg)
-    assert motions
-    assert {motion.joint for motion in motions} <= set(VIRTUAL_NAMES)
 
 
 @pytest.mark.parametrize(
@@ -177,32 +163,6 @@ def test_what_is_no_parameter_is_refused(name: str) -> None:
 
 
 # -- zero, derivatives, linearity --------------------------------------------------------------
-
-
-def test_the_nominal_machine_is_the_reduction() -> None:
-    seen = campaign()
-    found = outputs({}, seen)
-    assert np.abs(found[:, TCP] - reduction.forward(seen.command)).max() < 1e-12
-    assert np.abs(found[:, ROTATION] - np.eye(3).ravel()).max() < 1e-12
-
-
-@EVERY
-def test_zero_is_nominal(name: str) -> None:
-    seen = campaign()
-    assert np.array_equal(readings({name: 0.0}, seen), readings({}, seen))
-    assert np.abs(outputs({name: 0.0}, seen) - outputs({}, seen)).max() == 0.0
-
-
-@EVERY
-def test_a_tolerance_is_seen_somewhere(name: str) -> None:
-    seen = campaign()
-    change = readings({name: tolerance(name)}, seen) - readings({}, seen)
-    moved = outputs({name: tolerance(name)}, seen)[:, TCP] - outputs({}, seen)[:, TCP]
-    assert max(np.abs(change).max(), np.abs(moved).max()) > 1e-8
-    if CATALOGUE.effect_of(name).of_dial:
-        assert np.abs(moved).max() == 0.0
-        touched = np.array([s.name for s in seen.setups])[seen.setup] == name.split(".")[1]
-        assert np.abs(change[~touched]).max() == 0.0
 
 
 def four_point(function: Callable[[float], Array], step: float) -> Array:

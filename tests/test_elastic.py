@@ -77,16 +77,6 @@ def test_the_platform_rests_and_each_bar_is_longer_by_its_pull(bar: float) -> No
     assert np.abs(length - at_rest - pulls / bar).max() < 1e-14
 
 
-def test_rigid_bars_and_drives_carry_the_load_by_virtual_work() -> None:
-    """Pulls along the slides are the forces on the drives: f = (dp/drho)^T (0, 0, -load)."""
-    sound = Machine.nominal()
-    out = sound.model.outputs({}, Conditions.from_commands(RHO))
-    run = out.lines[..., 1, :] - out.lines[..., 0, :]
-    pull = sound.bar_tensions(RHO, load=LOAD)[..., None] * run / sound.geometry.L
-    expected = -LOAD * sound.jacobian(RHO)[:, 2]
-    np.testing.assert_allclose(np.einsum("nlbx,lx->nl", pull, np.eye(3)), expected, atol=1e-9)
-
-
 # -- derivatives -----------------------------------------------------------------------------
 
 

@@ -7,11 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import Imported, import_printer
 from orthoglide.firmware.klipper.new_numbers import plate_heights
@@ -24,6 +22,7 @@ from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
+from tests.test_cli import run
 
 CONFIGS = sorted(DATA.glob("*.cfg"))
 V400 = DATA / "v400-april.cfg"
@@ -48,41 +47,6 @@ def test_every_stored_file_imports_and_reads_back(path: Path, tmp_path: Path) ->
         for name in ("command", "second", "reading", "sigma", "approach"):
             one, other = getattr(again, name), getattr(campaign, name)
             assert np.array_equal(one, other, equal_nan=True), name
-
-
-def test_the_machine_without_errors_is_what_the_firmware_believes() -> None:
-    """Heights and meshes put through the imported machine are the firmware's own points."""
-    found = plain()
-    machine, mesh = Machine(found.machine), found.campaigns[2]
-    assert len(mesh) == 441
-    p = machine.forward(mesh.command)
-    told = np.array([[float(v) for v in label.split()] for label in mesh.posture])
-    assert np.abs(p[:, :2] * 1e3 - told).max() < 1e-3
-    calibration = found.campaigns[0]
-    assert [s.name for s in calibration.setups] == ["heights", "spokes", "rim"]
-    heights = machine.forward(calibration.command[:7])
-    assert np.abs(heights[:, 2] - calibration.reading[:7]).max() < 2e-4
-    ends = [machine.forward(c[7:]) for c in (calibration.command, calibration.second)]
-    apart = np.linalg.norm(ends[0] - ends[1], axis=1)
-    assert np.abs(apart - calibration.reading[7:]).max() < 1e-3
-
-
-def test_a_mesh_of_other_numbers_or_another_plate_is_told(tmp_path: Path) -> None:
-    """Its file has a radius that is half a millimetre too large for it."""
-    errors = {f"axis_offset.{leg}.radial": 5e-4 for leg in "abc"}
-    now = simulated_cfg(DeltaRig())
-    for wrong, told in (({}, False), (errors, True)):
-        other = simulated_cfg(DeltaRig(errors=wrong), seed=1).partition("#*# [bed_mesh default]")[2]
-        found = imported(tmp_path, f"{now}#*# [bed_mesh 2023]{other}")
-        assert len(found.campaigns) == 2
-        notes = [note for note in found.notes if "one plate and one set of numbers" in note]
-        assert bool(notes) == told
-    assert found.together == ()
-    assert notes[0].startswith("mesh-2023.csv and mesh-default.csv are not of")
-    size = re.search(r"their heights differ by (0\.\d+) mm", notes[0])
-    assert size is not None, told[0]
-    # What the radius does to heights is up to 0.3 mm, and this at a quarter of the places.
-    assert float(size[1]) == pytest.approx(0.25, abs=0.05)
 
 
 def test_what_the_importer_assumed_is_corrected_together() -> None:
@@ -127,14 +91,11 @@ def test_corrections_bring_the_independent_machine_to_the_plate(tmp_path: Path) 
 def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
     """Lobes of the plate go with it, and a machine's stay where they are."""
     file, meshes = tmp_path / "printer.cfg", {"default": 0.0, "at = 60": 60.0}
-    runner = CliRunner()
     errors = {f"rail_tilt.{leg}.tangential": 5e-3 for leg in "abc"}
     for what, rig, lobes in (("plate", DeltaRig(), 1e-4), ("rails", DeltaRig(errors=errors), 0.0)):
         file.write_text(simulated_cfg(rig, lobes=lobes, turned=meshes))
         out = tmp_path / what
-        done = runner.invoke(
-            cli, ["import", "klipper", str(file), "--out", str(out), "--turned", "at = 60=60"]
-        )
+        done = run("import", "klipper", file, "--out", out, "--turned", "at = 60=60")
         assert done.exit_code == 0
         assert "must not all go together" not in done.output
         files = sorted(map(str, out.glob("*.csv")))
@@ -147,9 +108,7 @@ def test_a_mesh_of_the_turned_plate_decides(tmp_path: Path) -> None:
         ("default=nan", "takes NAME=DEGREES"),
     ):  # fmt: skip
         out = tmp_path / "wrong"
-        done = runner.invoke(
-            cli, ["import", "klipper", str(file), "--out", str(out), "--turned", wrong]
-        )
+        done = run("import", "klipper", file, "--out", out, "--turned", wrong)
         assert (done.exit_code, out.exists()) == (2, False)
         assert why in done.output
 
@@ -186,8 +145,8 @@ def test_a_broken_file_is_told_with_its_line(kind: str, tmp_path: Path) -> None:
         import_printer(file)
     assert phrase in str(caught.value)
     assert "printer.cfg" in str(caught.value)
-    run = CliRunner().invoke(cli, ["import", "klipper", str(file), "--out", str(tmp_path / "o")])
-    assert run.exit_code == 2
+    refused = run("import", "klipper", file, "--out", tmp_path / "o")
+    assert refused.exit_code == 2
     assert not (tmp_path / "o").exists()
 
 
@@ -439,15 +398,6 @@ def test_a_fine_scan_is_thinned_and_a_scanty_mesh_told(tmp_path: Path) -> None:
     assert any("one in 3" in note for note in found.notes)
     file.write_text(text.partition("#*# [bed_mesh")[0])
     assert any("7 touches" in note for note in import_printer(file).notes)
-
-
-def test_one_slip_is_no_move_of_the_endstops(tmp_path: Path) -> None:
-    """One touch of seven that is off by 0.35 mm moved all heights by its seventh."""
-    text = (DATA / "v400-april.cfg").read_text()
-    written = "height0_pos = 32257.400,32158.800,32215.600"
-    assert written in text
-    found = imported(tmp_path, text.replace(written, written.replace("32257", "32178")))
-    assert not any("moved after the touches" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("moved", [-0.46])

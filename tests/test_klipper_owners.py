@@ -7,23 +7,21 @@ import tarfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.machine import Machine
-from orthoglide.observations.touched_plates import disagreements
 from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
 from tests.studied import studied
+from tests.test_cli import run
+from tests.tiers import in_turn
 
 ENDSTOP = re.compile(r"(#\*# position_endstop = )([0-9.]+)")
 V400, T1 = (DATA / name for name in ("v400-april.cfg", "t1-stock.cfg"))
@@ -48,9 +46,7 @@ def test_what_import_says_is_said_of_results(tmp_path: Path) -> None:
     """Heights six millimetres off: "run DELTA_CALIBRATE again" was said once, and never again."""
     (tmp_path / "printer.cfg").write_text(moved(T1.read_text(), 6.0))
     folder, out = tmp_path / "in", tmp_path / "out"
-    told = CliRunner().invoke(
-        cli, ["import", "klipper", str(tmp_path / "printer.cfg"), "--out", str(folder)]
-    )
+    told = run("import", "klipper", tmp_path / "printer.cfg", "--out", folder)
     machine = Machine.load(folder / "machine.toml")
     stored = machine.spec.provenance["klipper"]
     (far,) = (text for text in stored["warnings"] if "run DELTA_CALIBRATE again" in text)
@@ -86,12 +82,14 @@ def test_endstops_that_moved_since_the_calibration_are_the_finding(
     assert not any(action.kind == "zeros" for action in verdict.actions)
 
 
-@pytest.mark.parametrize(("arm", "radius"), [(0.28, 0.14), (0.345, 0.163), (0.42, 0.2)])
-@pytest.mark.parametrize("leg", "abc")
+@pytest.mark.parametrize(
+    ("leg", "size"), in_turn("abc", [(0.28, 0.14), (0.345, 0.163), (0.42, 0.2)])
+)
 def test_an_endstop_that_moved_between_two_meshes_is_told(
-    leg: str, arm: float, radius: float, tmp_path: Path
+    leg: str, size: tuple[float, float], tmp_path: Path
 ) -> None:
     """Of 0.3 mm, on machines of two sizes out of three it was not."""
+    arm, radius = size
     rig = DeltaRig(L=arm, radius=radius + 0.032)
     moved_rig = replace(rig, errors={f"joint_offset.{leg}": 3e-4})
     later = simulated_cfg(moved_rig, seed=1).partition("#*# [bed_mesh default]")[2]
@@ -131,29 +129,6 @@ def test_a_mesh_in_another_order_of_rows_is_told(
     for note in found:
         (ways,) = re.findall(r"0\.0\d\d mm if \S+\.csv is (.*)\. Correct", note)
         assert told in ways.split(" or ")
-
-
-@pytest.mark.parametrize("counts", [(9, 21), (21, 9)])
-def test_a_turned_plate_is_told_with_its_turn_whichever_list_is_longer(
-    counts: tuple[int, int],
-) -> None:
-    """The second plate is the first, turned by 90 degrees counter-clockwise."""
-
-    def touches(name: str, count: int, height: Callable[[Any, Any], Any]) -> og.Readings:
-        line = np.linspace(-0.08, 0.08, count)
-        x, y = (v.ravel() for v in np.meshgrid(line, line))
-        places, setup = np.stack([x, y, 0 * x], axis=1), og.Setup(name, -1, -1, kind="plate")
-        return og.Readings(name, (setup,), np.zeros(len(x), dtype=int), places, -height(x, y))
-
-    def height(x: Any, y: Any) -> Any:
-        return 2e-4 * np.sin(40 * x) + 1e-4 * np.sin(60 * y + 1)
-
-    first = touches("first", counts[0], height)
-    second = touches("second", counts[1], lambda x, y: height(y, -x))
-    controller: Any = SimpleNamespace(places=lambda command: command)
-    ((*names, note),) = disagreements(controller, (first, second), relative=False)
-    assert names == ["second", "first"]
-    assert "if second.csv is turned by 90 degrees. Correct" in note
 
 
 def test_a_noisy_probe_moves_no_endstop(tmp_path: Path) -> None:
@@ -214,18 +189,6 @@ def test_a_rotation_distance_that_was_changed_since_is_told(
     assert not any("Z_OFFSET_APPLY_ENDSTOP" in n for n in found.notes)
     command = found.campaigns[0].command
     assert command == pytest.approx(sound.campaigns[0].command, abs=5e-5)
-    assert found.machine.provenance["klipper"]["calibrate_again"] is True
-
-
-def test_heights_of_another_printer_are_no_changed_steps(tmp_path: Path) -> None:
-    """They were told as steps 35 % shorter, at which the heights still missed by millimetres."""
-    heights = re.compile(r"^#\*# height\d.*\n", re.M)
-    other = "".join(heights.findall(T1.read_text()))
-    text = heights.sub("", (DATA / "flight505.cfg").read_text())
-    head = "#*# [delta_calibrate]\n"
-    found = imported(tmp_path, text.replace(head, head + other))
-    assert not [n for n in found.notes if n.kind == "changed"]
-    assert [n for n in found.notes if n.startswith("left out: all 7 heights")]
     assert found.machine.provenance["klipper"]["calibrate_again"] is True
 
 

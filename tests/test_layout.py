@@ -83,22 +83,6 @@ def one_of(seen: dict[str, np.ndarray], k: int) -> dict[str, np.ndarray]:
     return {name: values[k] for name, values in seen.items()}
 
 
-@pytest.mark.parametrize("geometry", [DELTA, UNEVEN], ids=["even", "uneven"])
-def test_parallel_legs_are_three_spheres(geometry: Geometry) -> None:
-    own, p = mechanism(geometry), points(40)
-    machine = Machine(MachineFile(geometry=geometry))
-    travel = machine.inverse(p)
-    centres = np.stack(
-        [leg.carriage - leg.platform + travel[:, [k]] * leg.slide
-         for k, leg in enumerate(geometry.legs)], axis=1,
-    )  # fmt: skip
-    assert np.abs(intersect_spheres(centres, geometry.L) - p).max() < 1e-12
-    assert np.abs(machine.forward(travel) - p).max() < 1e-12
-    assert max(np.abs(own.close(t).p - q).max() for t, q in zip(travel, p, strict=True)) < 1e-12
-    assert np.abs(machine.forward(np.zeros(3))).max() < 1e-14
-    assert np.abs(own.close(np.zeros(3)).p).max() < 1e-14
-
-
 def test_every_command_that_the_arms_reach_closes_below_the_carriages() -> None:
     """Newton's method from the neutral posture ended above them, or nowhere, for a third."""
     geometry = Geometry(0.25, 0.05, 0.03, (-0.1, 0.3), LinearDelta((0.12,) * 3, tool=(0, 0, -0.04)))

@@ -11,48 +11,10 @@ import orthoglide as og
 from orthoglide import reduction
 from orthoglide.errors import InputError
 from orthoglide.geometry import Geometry
-from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
-from orthoglide.machine_file import MachineFile
 from orthoglide.mechanism.tree import PASSIVE_NAMES
 
 NOMINAL = Machine.nominal()
-DELTA = Geometry(0.27, 0.05, 0.032, (-0.2, 0.1), LinearDelta((0.14,) * 3, tool=(0, 0, -0.04)))
-ERRORS = {
-    "joint_offset.x": 1e-3, "joint_offset.z": -7e-4, "leg_length.y": 1e-4,
-    "axis_tilt.y.z": 2e-3, "rail_bow.x.y": 1e-4, "bar_mismatch.x": 3e-4,
-    "mount_tilt.z.a": 2e-3, "encoder_scale.y": 1e-3, "backlash.x": 5e-5,
-}  # fmt: skip
-CROOKED = NOMINAL.with_parameters(ERRORS)
-
-
-def commands(n: int, seed: int = 0) -> np.ndarray:
-    low, high = Geometry().stroke
-    return Geometry().L + np.random.default_rng(seed).uniform(low, high, (n, 3))
-
-
-@pytest.mark.parametrize("shape", [(), (1,), (4,), (2, 3), (0,)])
-def test_batches(shape: tuple[int, ...]) -> None:
-    rho = commands(int(np.prod(shape, dtype=int))).reshape(*shape, 3)
-    assert CROOKED.forward(rho).shape == (*shape, 3)
-    assert CROOKED.pose(rho).R.shape == (*shape, 3, 3)
-    assert CROOKED.jacobian(rho).shape == (*shape, 3, 3)
-    each = [CROOKED.forward(one) for one in rho.reshape(-1, 3)]
-    if each:
-        assert np.allclose(CROOKED.forward(rho).reshape(-1, 3), each, rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("machine", [NOMINAL, Machine(MachineFile(geometry=DELTA))])
-def test_jacobian_by_differences_under_a_load(machine: Machine) -> None:
-    """The load's force on a drive depends on the command."""
-    names = machine.geometry.leg_names
-    soft = machine.with_parameters({f"drive_compliance.{leg}": 1e-5 for leg in names[:2]})
-    rho, h = machine.geometry.zero + commands(4) - NOMINAL.geometry.zero, 1e-5
-    for axis in range(3):
-        step = h * np.eye(3)[axis]
-        ends = (soft.forward(rho + side * step, load=100.0) for side in (1, -1))
-        slope = np.subtract(*ends) / (2 * h)
-        assert np.allclose(soft.jacobian(rho, load=100.0)[..., axis], slope, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize(

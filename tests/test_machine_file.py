@@ -157,6 +157,14 @@ MALFORMED: dict[str, tuple[str, str, str, int | None]] = {
     "key twice": ("d = 80", "L = 80", "is not TOML, cannot overwrite a value", 6),
     "text not closed": ('"0.1.0"', '"0.1.0', "is not TOML", 36),
     "number beyond all": ("L = 310.25", "L = 1e99999999999999999999", "out of all range", None),
+    "digits without end": ("L = 310.25", f"L = {'1' * 5000}", "out of all range", None),
+    "schema without end": ("schema = 1", f"schema = {'1' * 5000}", "out of all range", None),
+    "hexadecimal digits, deep": (
+        'version = "0.1.0"', f"x = [[{{ y = 0x{'f' * 5000} }}]]", "out of all range", None),
+    "repeatability near zero": ("= 0.005", "= 1e-320", "must be above 1e-07", 12),
+    "key of a page": ("name =", f"{'n' * 50_000} =", "has no key 'nnn", 2),
+    "unit of a page": ('unit = "mm"', f'unit = "{"m" * 50_000}"', "must be mm, not 'mmm", 32),
+    "line of a page": ("schema = 1", f"schema {'=' * 50_000} 1", "is not TOML", 1),
 }  # fmt: skip
 
 
@@ -171,6 +179,7 @@ def test_malformed_machine_files_are_refused(kind: str, tmp_path: Path) -> None:
     assert phrase in error.reason
     assert (error.file, error.line) == (str(file), line)
     assert "\n" not in str(error)
+    assert len(str(error)) < 500
 
 
 @settings(max_examples=40, deadline=None)

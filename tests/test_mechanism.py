@@ -13,7 +13,6 @@ from orthoglide.errors import ClosureError, InputError, UnreachableError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.machine import Machine
 from orthoglide.mechanism import Mechanism
-from orthoglide.mechanism.perfect_legs import commands as commands_of
 from orthoglide.mechanism.tree import VIRTUAL_NAMES
 from tests.engines import (
     NOMINAL,
@@ -25,7 +24,6 @@ from tests.engines import (
     mechanism,
     six_bars,
 )
-from tests.rig import rotation
 
 CORNERS = np.array(list(product(NOMINAL.stroke, repeat=3))) + NOMINAL.L
 MACHINE = Machine.nominal()
@@ -39,31 +37,6 @@ def only(**values: float | tuple[float, float, float]) -> Array:
     return moves
 
 
-def parts(rho: Array, moves: Array, geometry: Geometry = NOMINAL) -> tuple[Array, Array, Array]:
-    """Ends of six bars on carriages and platform ``(n, 6, 3)`` and their lengths ``(n, 6)``,
-    displaced as the virtual joints say.
-    """
-    n, half = len(rho), geometry.d / 2
-    travel, lateral_b, lateral_c, turn_a, turn_b, turn_c, *bars = np.moveaxis(moves, -1, 0)
-    stretch1, stretch2, width1, width2 = bars
-    A, b = np.empty((n, 3, 2, 3)), np.empty((n, 3, 2, 3))
-    for leg in range(3):
-        axes = np.roll(np.eye(3), -leg, axis=0)  # rows a, b, c
-        along = np.stack(
-            [geometry.L + geometry.r + rho[:, leg] - geometry.L + travel[:, leg],
-             lateral_b[:, leg], lateral_c[:, leg]], axis=-1,
-        )  # fmt: skip
-        turn = np.eye(3)
-        for axis, angle in zip(axes, (turn_a, turn_b, turn_c), strict=True):
-            turn = turn @ rotation(angle[:, leg, None] * axis)
-        link = turn @ axes[2] * half
-        A[:, leg] = np.stack([along @ axes + link, along @ axes - link], axis=1)
-        b[:, leg, 0] = geometry.r * axes[0] + (half + width1[:, leg, None]) * axes[2]
-        b[:, leg, 1] = geometry.r * axes[0] - (half + width2[:, leg, None]) * axes[2]
-    length = geometry.L + np.stack([stretch1, stretch2], axis=-1)
-    return A.reshape(n, 6, 3), b.reshape(n, 6, 3), length.reshape(n, 6)
-
-
 # -- against the reduction -------------------------------------------------------------------
 
 
@@ -74,13 +47,6 @@ def test_closed_tcp_equals_the_quadratic(geometry: Geometry) -> None:
     assert np.abs(forward(rho, geometry=geometry) - expected).max() < 1e-12
     single = np.array([mechanism(geometry).close(r).p for r in rho[:300]])
     assert np.abs(single - expected[:300]).max() < 1e-12
-
-
-def test_inverse_equals_eq_3() -> None:
-    p = reduction.forward(commands(1000, 1))
-    expected = reduction.inverse(p)
-    assert np.abs(commands_of(mechanism().spheres, p) - expected).max() < 1e-12
-    assert np.abs(MACHINE.inverse(p) - expected).max() < 1e-12
 
 
 def test_inverse_undoes_forward_with_everything_displaced() -> None:

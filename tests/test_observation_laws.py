@@ -315,26 +315,6 @@ def test_what_a_positive_error_does(
     assert shown == pytest.approx(slope, abs=1e-9)
 
 
-def test_lengths_between_places_grow_with_the_drives_and_away_from_the_ball() -> None:
-    """A distance along x is longer by the scale of drive x, one from a ball at -x by its offset."""
-    zero, away = np.full((1, 3), 0.31025), ORTHOGLIDE.geometry.command_on_axis(0, 0.04)[None]
-    for kind, command, second, name, slope in (
-        ("distance", away, zero, "encoder_scale.x", 0.04),
-        ("ballbar", zero, None, "joint_offset.x", 1.0),
-    ):
-        sheet = replace(sheet_of(kind).subset([0]), command=command, second=second)
-        seen = MeasurementModel(sheet, [InstrumentPose(ball_centre=np.array([-0.2, 0.0, 0.0]))])
-        shown = seen.linearise(ORTHOGLIDE.model, {}, [name]).jacobian[0, 0]
-        assert shown == pytest.approx(slope, rel=1e-6)
-
-
-def test_a_bowl_lowers_readings_at_the_rim_and_none_in_the_middle() -> None:
-    sheet = sheet_of("plate").subset([0, 1, 2])
-    place = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
-    seen = MeasurementModel(sheet, (), place).linearise(ORTHOGLIDE.model, {}, ["plate_bow.plain"])
-    assert seen.jacobian[:, 0] == pytest.approx([0.0, -1.0, -1.0], abs=1e-15)
-
-
 # -- permutation of legs ---------------------------------------------------------------------------
 
 

@@ -22,7 +22,7 @@ from orthoglide.machine import Machine
 from orthoglide.observations import Readings, protocol, read_campaign
 from orthoglide.planning import observability
 from orthoglide.report.sheet import sheet_page
-from tests.command_line import run
+from tests.command_line import done
 from tests.rig import Rig
 
 Array = np.ndarray
@@ -154,19 +154,6 @@ def test_what_cannot_be_meant_is_refused(rows: str, told: str, tmp_path: Path) -
         read_campaign(tmp_path / "c.csv")
 
 
-def test_deviations_are_the_readings_themselves() -> None:
-    """No posture is taken for exact where there is no datum: ordinary least squares."""
-    rng = np.random.default_rng(5)
-    exact = measured(protocol("parallelism"), OFFSETS)
-    readings = exact.with_readings(exact.reading + 2e-5 * rng.standard_normal(len(exact)))
-    one, other = (
-        og.identify(readings, MACHINE, ["joint_offset"], priors=False, noise=2e-5, weighting=how)
-        for how in ("readings", "deviations")
-    )
-    for name in OFFSETS:
-        assert abs(one.values[name] - other.values[name]) < 0.05 * one.sigmas[name]
-
-
 def test_the_protocol_reads_both_dials_at_zero_max_and_min() -> None:
     sheet = protocol("parallelism")
     assert len(sheet) == 54
@@ -187,12 +174,6 @@ def test_the_protocol_reads_both_dials_at_zero_max_and_min() -> None:
 # -- for a user ------------------------------------------------------------------------------------
 
 
-def done(*arguments: object) -> str:
-    ran = run(*arguments)
-    assert ran.code == 0, ran.text
-    return ran.text
-
-
 def test_a_user_goes_from_the_sheet_to_the_report(tmp_path: Path) -> None:
     machine, sheet, campaign = (tmp_path / name for name in ("m.toml", "sheet.csv", "c.csv"))
     with_slope(5e-5).save(machine)
@@ -200,7 +181,7 @@ def test_a_user_goes_from_the_sheet_to_the_report(tmp_path: Path) -> None:
     assert (tmp_path / "sheet.html").exists()
     done("simulate", "--machine", machine, "--sheet", sheet, "--out", campaign, "--seed", 3,
         "--error", "joint_offset.x=0.6,joint_offset.y=-0.4,joint_offset.z=0.5")  # fmt: skip
-    told = done("close-loop", campaign, "--machine", machine, "--out", tmp_path / "closed")
+    told = done("close-loop", campaign, "--machine", machine, "--out", tmp_path / "closed").text
     assert "two dials on a leg" in told
     result = json.loads((tmp_path / "closed" / "result.json").read_text())
     assert list(result["noise_of"]) == ["parallelism"]

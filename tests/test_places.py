@@ -11,17 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.optimize import brentq
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.errors import FileError
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, campaign_text, read_readings
 from orthoglide.planning import tool_sheets
 from tests.klipper_files import simulated_cfg
 from tests.rig_delta import DeltaRig
+from tests.test_cli import run
 from tests.test_tool_readings import SPEC
 
 MACHINE, NOMINAL = Machine(SPEC), DeltaRig()
@@ -122,8 +121,8 @@ def test_a_printer_is_sent_by_its_own_numbers(tmp_path: Path) -> None:
 def test_the_command_says_how_to_fill_a_sheet_in(tmp_path: Path) -> None:
     path = tmp_path / "machine.toml"
     MACHINE.save(path)
-    done = CliRunner().invoke(cli, ["design", "--owns", "plate,incline", "--machine", str(path),
-                                    "--out", str(tmp_path / "sheet.csv")])  # fmt: skip
+    given = ("--machine", path, "--out", tmp_path / "sheet.csv")
+    done = run("design", "--owns", "plate,incline", *given)
     told = " ".join(done.output.split())
     assert "Send the tool to x_mm, y_mm, z_mm, with its numbers as they are." in told
     assert "a probe on a plate: go down until it touches and write the height" in told

@@ -104,16 +104,6 @@ def test_simulate_is_the_command(exact: bool, tmp_path: Path) -> None:
     )
 
 
-def test_compensate_is_the_command(tmp_path: Path) -> None:
-    machine = og.Machine.nominal().with_parameters(ERRORS)
-    machine.save(tmp_path / "m.toml")
-    (tmp_path / "path.csv").write_text("p_x_mm,p_y_mm,p_z_mm\n0,0,0\n10,-5,2.5\n")
-    done("compensate", tmp_path / "path.csv", "--machine", tmp_path / "m.toml",
-         "--out", tmp_path / "c.csv")  # fmt: skip
-    points = og.read_path(tmp_path / "path.csv").p
-    assert commands_text(og.compensate(machine, points)) == (tmp_path / "c.csv").read_text()
-
-
 def test_what_is_shown_of_a_machine() -> None:
     assert repr(og.Machine.nominal()) == "<Machine 'Orthoglide, nominal': no errors>"
     many = og.Machine.nominal().with_parameters({"leg_length.common": 1e-4, **ERRORS})
@@ -168,16 +158,6 @@ def test_frames_say_what_they_need(estimate: og.Estimate, monkeypatch: pytest.Mo
     with pytest.raises(og.InputError, match="pip install pandas"):
         estimate.to_frame()
     assert "<table>" in estimate._repr_html_()
-
-
-@copied
-def test_a_used_machine_travels(travel: Travel) -> None:
-    machine = og.Machine.nominal().with_parameters(ERRORS)
-    before = machine.forward(RHO)
-    arrived = travel(machine)
-    assert arrived == machine
-    assert np.array_equal(arrived.forward(RHO), before)
-    assert np.array_equal(arrived.jacobian(RHO), machine.jacobian(RHO))
 
 
 @copied

@@ -198,45 +198,6 @@ def test_singular_postures_have_no_jacobian():
 # --- readings -----------------------------------------------------------------------------------
 
 
-def _list(rng, count):
-    commands = L + rng.uniform(-0.1, 0.06, (count, 3))
-    leg = rng.integers(0, 3, count)
-    axes = (leg + rng.integers(1, 3, count)) % 3
-    return commands, leg, axes, L / 2 + rng.uniform(-0.03, 0.03, count)
-
-
-def line_reading(centres, p, leg, direction, gauge):
-    """Coordinate of the leg's line from TCP to carriage in the plane own axis = gauge (3.2)."""
-    own, read = np.eye(3)[leg], np.eye(3)[direction]
-    bar = np.sum(centres * own[..., :, None], axis=-2) - p
-    share = (gauge - np.sum(p * own, axis=-1)) / np.sum(bar * own, axis=-1)
-    return np.sum(p * read, axis=-1) + share * np.sum(bar * read, axis=-1)
-
-
-def test_readings_are_those_of_the_general_form():
-    rng = np.random.default_rng(3)
-    commands, leg, axes, gauges = _list(rng, 50)
-    offsets, lengths = rng.normal(0, 2e-3, 3), rng.normal(0, 2e-3, 3)
-    centres = (commands + offsets)[..., None] * np.eye(3)
-    p = reduction.intersect_spheres(centres, L + lengths)
-    np.testing.assert_allclose(
-        reduction.predict_readings(commands, leg, axes, gauges, offsets, lengths).values,
-        line_reading(centres, p, leg, axes, gauges),
-        atol=1e-15,
-    )
-
-    def general(six):
-        centres = (commands + six[:3])[..., None] * np.eye(3)
-        p = reduction.intersect_spheres(centres, L + six[3:])
-        return line_reading(centres, p, leg, axes, gauges)
-
-    np.testing.assert_allclose(
-        reduction.predict_readings(commands, leg, axes, gauges, offsets, lengths).gradient,
-        differences(general, np.r_[offsets, lengths]),
-        atol=1e-9,
-    )
-
-
 @properties
 @given(
     st.floats(0.01, 0.15),
@@ -301,16 +262,6 @@ def test_system_11_is_laid_out_as_printed():
     assert system.columns == reduction.COLUMNS
     singular = np.linalg.svd(system.matrix)[1]
     np.testing.assert_allclose(singular, [1.012, 0.683, 0.683, 0.0166, 0.0164, 0.0164], rtol=4e-3)
-
-
-def test_reduced_and_offset_systems_follow_from_11():
-    full, reduced, offsets = reduction.system11(), reduction.reduced_system(), reduction.system8()
-    for i, row in enumerate(reduced.rows):
-        plus, minus = (full.matrix[full.rows.index(row + sign)] for sign in "+-")
-        np.testing.assert_array_equal(reduced.matrix[i], plus - minus)
-    np.testing.assert_array_equal(reduced.noise, 2 * np.eye(6))
-    np.testing.assert_array_equal(offsets.matrix, full.matrix[:, :3])
-    assert full.select(["length.y"]).columns == ("length.y",)
 
 
 def test_covariance_is_that_of_simulated_readings():

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.rehearsal.outcome import (
@@ -33,6 +31,7 @@ from orthoglide.rehearsal.outcome import (
 )
 from orthoglide.result import decoded, encoded
 from tests.klipper_files import DATA
+from tests.test_cli import run
 
 MACHINE = Path(__file__).parent / "data" / "rig" / "machine.toml"
 
@@ -206,14 +205,12 @@ def test_the_result_is_a_table(alone: Rehearsal, monkeypatch: pytest.MonkeyPatch
 
 
 def refused(*arguments: str) -> str:
-    result = CliRunner().invoke(cli, ["rehearse", *arguments])
+    result = run("rehearse", *arguments)
     assert result.exit_code == 2, result.output
     return result.output
 
 
 def test_what_cannot_be_rehearsed_is_refused(tmp_path: Path) -> None:
-    assert "jobs must be" in refused("--jobs", "0")
-    assert "there is no such file" in refused("--sheet", str(tmp_path / "no.csv"))
     (tmp_path / "theirs").write_text("x")
     assert "holds no earlier rehearsal" in refused("--out", str(tmp_path))
     (tmp_path / "campaigns.jsonl").write_text("[]\n")
@@ -226,21 +223,21 @@ def test_the_command_keeps_and_prints(tmp_path: Path) -> None:
         "rehearse", "--sheet", str(tmp_path / "sheet.csv"), "--campaigns", "1", "--jobs", "1",
         "--out", str(tmp_path / "out"),
     ]  # fmt: skip
-    result = CliRunner().invoke(cli, line)
+    result = run(*line)
     assert result.exit_code == 0, result.output
     assert "what is wrong" in result.stdout
     assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
-    assert CliRunner().invoke(cli, line).stdout == result.stdout  # nothing is left to do
+    assert run(*line).stdout == result.stdout  # nothing is left to do
     kept = tmp_path / "out" / "campaigns.jsonl"
     longer = json.loads(kept.read_text().splitlines()[-1]) | {"number": 4}
     with kept.open("a") as file:
         file.write(json.dumps(longer) + "\n")
-    fewer = CliRunner().invoke(cli, line)  # a longer table is not replaced
+    fewer = run(*line)  # a longer table is not replaced
     assert fewer.exit_code == 2
     assert "ask for 5 or more" in " ".join(fewer.output.split())
     assert (tmp_path / "out" / "rehearsal.txt").read_text() == result.stdout
     kept.write_text("".join(kept.read_text().splitlines(True)[:-1]))
-    short = CliRunner().invoke(cli, [*line, "--quiet"]).stdout.strip()
+    short = run(*line, "--quiet").stdout.strip()
     assert re.fullmatch(r"campaigns 1(, (named|located|missed|false|failed) [01]){5}", short)
 
 

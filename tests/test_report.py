@@ -8,7 +8,6 @@ import os
 import re
 import shutil
 import subprocess
-import tomllib
 from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
@@ -20,13 +19,10 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
-from orthoglide.effects import CATALOGUE
-from orthoglide.effects.wording import parameter_words
 from orthoglide.figures.axes import round_ticks
 from orthoglide.figures.draw import draw
 from orthoglide.figures.style import PALETTE
 from orthoglide.fit import Estimate
-from orthoglide.layout import LinearDelta
 from orthoglide.numerals import compact, decimals_for, plain, probability, signed, with_sigma
 from orthoglide.report import report_files
 from orthoglide.report.page import finding, render_template
@@ -34,7 +30,6 @@ from orthoglide.report.rows import weak_sentences
 from orthoglide.report.sentences import claim_text, headline
 from orthoglide.result import Request
 from orthoglide.result.fits import WeakDirection
-from orthoglide.text import listed
 from orthoglide.verdict import Verdict
 
 DATA = Path(og.__file__).parent / "data"
@@ -70,10 +65,6 @@ def result_of(which: str = "published") -> Verdict:
 
 def published() -> Estimate:
     return closed_of().after
-
-
-def two_campaigns() -> Estimate:
-    return closed_of("two").after
 
 
 @cache
@@ -151,13 +142,6 @@ def without_sheet(page: str) -> str:
     return re.sub(r"data:text/csv[^\"]*", "#", page)
 
 
-def test_the_page_is_well_formed_self_contained_and_timeless() -> None:
-    page = files_of()["report.html"]
-    assert "data:text/csv" not in page
-    assert check_page(page) == []
-    check_timeless(files_of())
-
-
 def check_timeless(files: dict[str, str]) -> None:
     assert {"report.html", "result.json"} <= set(files)
     for name, content in files.items():
@@ -190,22 +174,6 @@ def test_the_key_numbers_are_on_the_page() -> None:
     assert "less than 10⁻⁹ mm" in text
     assert "orthoglide rerun result.json --out DIR" in text
     assert text.count("The residuals are") == 0  # said once, at the top, in plain words
-
-
-# --- result.json and its neighbours ---------------------------------------------------------
-
-
-def test_calibrated_machine_says_where_it_comes_from(tmp_path: Path) -> None:
-    text = files_of("two")["calibrated.toml"]
-    provenance = tomllib.loads(text)["provenance"]
-    assert provenance["version"] == og.__version__
-    assert [c["file"] for c in provenance["campaigns"]] == ["experiment2.csv", "experiment3.csv"]
-    assert all(len(c["sha256"]) == 64 for c in provenance["campaigns"])
-    (tmp_path / "calibrated.toml").write_text(text)
-    machine = og.Machine.load(tmp_path / "calibrated.toml")
-    assert machine.values == two_campaigns().machine.values
-    own = two_campaigns().values["joint_offset.x@experiment3"]
-    assert machine.values["joint_offset.x"] == pytest.approx(own, abs=1e-15)
 
 
 # --- Figures --------------------------------------------------------------------------------
@@ -262,20 +230,6 @@ def test_numbers_for_people() -> None:
     assert [compact(v, plus=True) for v in (0.5, -0.5, 0.0)] == ["+0.5", "−0.5", "0"]
     assert compact(float("nan")) == "–"
     assert [probability(p) for p in (0.0, 0.012, 0.4)] == ["below 10⁻⁶", "0.012", "0.40"]
-
-
-def test_words() -> None:
-    def said(name: str) -> str:
-        return parameter_words(CATALOGUE.parameter(name))
-
-    assert said("axis_tilt.y.z") == "axis tilt of leg y toward z"
-    assert said("joint_offset.x@day-2") == "joint offset of leg x (day-2)"
-    assert said("mount_tilt.x.a") == "mount tilt of leg x about its axis"
-    assert said("gauge_scale.left") == "gauge scale of setup left"
-    tilt = parameter_words(CATALOGUE.parameter("axis_tilt.y.z"), LinearDelta.names)
-    assert tilt == "carriage path tilt of tower y toward z"  # as its cause: "the path of the ..."
-    assert said("axis_tilt.xy.symmetric") == "axis tilt, xy symmetric"
-    assert (listed(["a"]), listed("ab"), listed("abc")) == ("a", "a and b", "a, b and c")
 
 
 def test_weak_directions_in_words() -> None:

@@ -117,17 +117,8 @@ def test_the_laws_of_the_page_see_what_breaks_them() -> None:
     for markup in (code, zeros, tile, "<p>a place rail.x.z/travel</p>"):
         assert len([*broken(markup, dials=True)]) == 1
         assert not [*broken(f"<details><summary>more</summary>{markup}</details>", dials=True)]
-    assert (
-        len(
-            [
-                *broken(
-                    f"<p>{'what there is to say, and ' * 3} the dials on legs show it all</p>",
-                    dials=False,
-                )
-            ]
-        )
-        == 1
-    )
+    dial = f"<p>{'what there is to say, and ' * 3} the dials on legs show it all</p>"
+    assert len([*broken(dial, dials=False)]) == 1
     assert too_long("short. " + "word " * 31 + "end.")
 
 

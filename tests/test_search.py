@@ -17,7 +17,7 @@ from orthoglide.explanation.credible_sets import merge_families
 from orthoglide.explanation.full_likelihood import FullLikelihood, _span
 from orthoglide.explanation.linear_model import Group, LinearModel, identity_group, left_singular
 from orthoglide.explanation.mixture import Mixture
-from orthoglide.explanation.search import Search, State, explained_by_group
+from orthoglide.explanation.search import Search, State
 from orthoglide.fit.noise import Weighing
 from orthoglide.geometry import Array
 
@@ -148,17 +148,6 @@ def test_where_a_search_begins_does_not_say_where_it_ends(start: State) -> None:
     assert Search(linear, start=fresh.active_groups).best == fresh.best
 
 
-def test_what_shows_nothing_of_a_group_is_left_out() -> None:
-    linear = made_up(drawn(3), np.zeros(17), 3)
-    assert [seen.shape[1] for seen in linear.visible_directions] == [1] * 6 + [3, 2]
-    for group, seen in zip(linear.groups, linear.visible_directions, strict=True):
-        all_of_it, kept = (
-            linear.columns[:, group.coefficients],
-            linear.columns[:, group.coefficients] @ seen,
-        )
-        assert kept @ kept.T == pytest.approx(all_of_it @ all_of_it.T)
-
-
 def test_two_that_show_what_two_others_do_are_in_each_others_sets() -> None:
     """The second pair was never met by exchanging one at a time: it had no probability."""
     columns, truth = drawn(5), np.zeros(17)
@@ -177,15 +166,6 @@ def test_two_that_show_what_two_others_do_are_in_each_others_sets() -> None:
     both = mixture.inclusion[:4]
     assert both.sum() == pytest.approx(2.0, abs=0.2)
     assert np.all(both > 0.15)
-
-
-def test_a_group_that_shows_what_is_out_already_adds_no_more_than_nothing() -> None:
-    inner = np.array([[1.0, 1.0], [1.0, 1.0]]) * 1e8
-    met = np.array([3e4, 3e4])
-    full = np.eye(2) + 9.0 * inner
-    by_hand = 9.0 * met @ np.linalg.solve(full, met) / 2 - np.linalg.slogdet(full)[1] / 2
-    explained, occam = explained_by_group(inner, met, np.array(1e3), 3.0)
-    assert explained / 2 - occam == pytest.approx(by_hand, rel=1e-6)
 
 
 @pytest.mark.parametrize("size", [1e4, 1e7])
@@ -215,14 +195,6 @@ def test_a_cause_that_is_there_in_some_explanations_is_drawn_in_as_many() -> Non
     assert np.all(beyond[1:] < mixture.inclusion[[0, 2]])
     one = norm(mixture.mean[2], sd[1])
     assert beyond[1] < 0.6 * (one.sf(1) + one.cdf(-1))
-
-
-def test_a_background_wider_than_names_bear_is_rare_and_no_more() -> None:
-    linear = made_up(drawn(10), np.zeros(17), 10)
-    plain, narrow = Search(linear), Search(replace(linear, wide_background=(0.03, -3.0)))
-    for one, other in zip(plain.scales, narrow.scales, strict=True):
-        assert other.rare == one.rare
-        assert one.log_z - other.log_z == pytest.approx(3.0 if one.background_scale > 0.03 else 0.0)
 
 
 def test_larger_noise_that_can_have_no_weight_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -373,22 +345,6 @@ def test_other_labels_against_the_factorisation_of_all_readings(setups: list[int
     assert basis.shape[1] < n / 3
     assert found == pytest.approx(expected[1], abs=1e-6)
     assert likelihood.log_likelihood(np.zeros((n, 1)))[0] == pytest.approx(expected[0], abs=1e-6)
-
-
-def test_a_setup_is_predicted_by_all_others_in_metres() -> None:
-    """Visits share their rounding: whole turns of a hand were taken for half of them."""
-    rng, station = np.random.default_rng(4), np.repeat(np.arange(6), 3)
-    columns, readings = 1e-5 * rng.standard_normal((18, 4)), 1e-5 * rng.standard_normal(18)
-    weighing = Weighing(np.full(18, 2e-6), np.full(18, 6e-6), station)
-    covariance = np.diag(weighing.sigma**2) + 6e-6**2 * (station[:, None] == station)
-    precision = np.linalg.inv(covariance + columns @ columns.T)
-    likelihood = FullLikelihood(
-        weighing, weighing.whiten(columns), weighing.whiten(readings),
-        sparse.identity(18, format="csr"), np.arange(18), (1.0, 1.0),
-    )  # fmt: skip
-    setup = np.flatnonzero(station < 2)
-    expected = np.linalg.solve(precision[np.ix_(setup, setup)], (precision @ readings)[setup])
-    assert likelihood.deletion(setup).difference == pytest.approx(expected, rel=1e-6)
 
 
 def test_readings_far_finer_than_their_datums_are_still_weighed() -> None:

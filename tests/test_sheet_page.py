@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import orthoglide as og
-from orthoglide.cli import cli
 from orthoglide.report.sheet import sheet_page
 from tests.rig_campaigns import read_csv
+from tests.test_cli import run
 from tests.test_report import printed
 
 CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", re.S)
@@ -21,7 +20,7 @@ CELL = re.compile(r"<td[^>]*class=\"([^\"]*)\"[^>]*>(.*?)</td>|<td>(.*?)</td>", 
 
 def written(folder: Path, *words: str) -> Path:
     path = folder / "sheet.csv"
-    result = CliRunner().invoke(cli, [*words, "--out", str(path)])
+    result = run(*words, "--out", path)
     assert result.exit_code == 0, result.output
     assert "sheet.html: the same rows to print" in result.output or "--quiet" in words
     return path
@@ -115,7 +114,7 @@ def test_the_page_says_where_each_dial_stands_and_which_way_it_counts() -> None:
 
 def test_nothing_is_written_where_one_of_both_stands(tmp_path: Path) -> None:
     (tmp_path / "sheet.html").write_text("mine")
-    result = CliRunner().invoke(cli, ["protocol", "--out", str(tmp_path / "sheet.csv")])
+    result = run("protocol", "--out", tmp_path / "sheet.csv")
     assert result.exit_code == 2
     assert "sheet.html" in result.output
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.html"]

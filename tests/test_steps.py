@@ -12,6 +12,7 @@ import orthoglide as og
 from benchmarks import public
 from orthoglide.effects.bumps_and_jumps import jumping, with_jump
 from orthoglide.effects.free_form import FreeForm, free_forms
+from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.kernels import Step
 from orthoglide.explanation.causes import pool_variants
 from orthoglide.explanation.free_form import free_form_columns
@@ -79,6 +80,10 @@ def test_words_of_a_step() -> None:
         "between travel −1 and 0 mm where it comes from smaller travel",
         "between travel 40 and 60 mm where it comes from larger travel",
     ]
+    for size, way in ((5e-4, "away from"), (-5e-4, "toward")):
+        test = confirming_test(form_of(NAMES[1]), size)
+        assert test.startswith("read a dial on carriage y along its travel every millimetre from −")
+        assert test.endswith(f"mm: expect a step of 0.5 mm {way} the origin as travel grows")
 
 
 def test_the_places_of_one_step_are_one_finding() -> None:
@@ -174,13 +179,6 @@ def test_what_is_stated_includes_the_place_of_a_step(stepping: og.Verdict) -> No
 
 
 @pytest.mark.thorough
-def test_the_page_says_where_to_read_a_step(stepping: og.Verdict) -> None:
-    (test,) = (s.confirm for action in stepping.actions for s in action.options)
-    assert test.startswith("read a dial on carriage x along its travel every millimetre from −")
-    assert test.endswith("mm: expect a step of 0.5 mm away from the origin as travel grows")
-
-
-@pytest.mark.thorough
 def test_a_dead_spot_has_its_place_and_direction() -> None:
     rig = replace(Rig(errors=ERRORS), extra=(one_way(1, -5e-4, 0.026),))
     rows = rc.simulate(rig, "sweep", np.random.default_rng(9103))
@@ -188,12 +186,3 @@ def test_a_dead_spot_has_its_place_and_direction() -> None:
     (found,) = verdict.located
     assert found.members[0].name == "drive.y/approach@20to40up"
     assert found.members[0].size == pytest.approx(-5e-4, rel=0.1)
-
-
-@pytest.mark.thorough
-def test_a_step_back_is_said_to_be_one() -> None:
-    rig = Rig(errors=ERRORS, extra=(rc.drive_step(0, -5e-4, -0.002),))
-    rows = rc.simulate(rig, stations(range(-100, 61, 10), 3), np.random.default_rng(9102))
-    verdict = og.close_loop([public.campaign(rows)], public.machine())
-    (test,) = (s.confirm for action in verdict.actions for s in action.options)
-    assert test.endswith("mm: expect a step of 0.5 mm toward the origin as travel grows")

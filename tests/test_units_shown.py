@@ -14,14 +14,14 @@ import pytest
 
 import orthoglide as og
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
-from orthoglide.effects import CATALOGUE, catalogue_of
-from orthoglide.effects.wording import confirm_words, size_words, value_words
+from orthoglide.effects import CATALOGUE
+from orthoglide.effects.wording import confirm_words, value_words
 from orthoglide.fit import Estimate
-from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.mechanism.tree import load
 from orthoglide.numerals import compact
-from orthoglide.observations import Readings
+from orthoglide.observations import Readings, concatenated
+from orthoglide.planning.sheets import instrument_sheet
 from orthoglide.report import report_files, result_text
 from orthoglide.report.rows import parameter_rows, score_rows
 from orthoglide.report.sentences import headline
@@ -30,39 +30,6 @@ from orthoglide.verdict import Verdict, run
 from tests.studied import studied
 
 RIG = Path(__file__).parent / "data" / "rig"
-
-# Effect: a value in SI, and how its size is said.
-SIZES = {
-    "joint_offset": (4e-4, "0.4 mm"),
-    "encoder_scale": (3e-3, "0.3 %"),
-    "screw_error": (5e-5, "0.05 mm"),
-    "backlash": (6e-5, "0.06 mm"),
-    "drive_compliance": (5e-7, "0.5 µm a newton"),
-    "axis_offset": (-2.5e-3, "2.5 mm"),
-    "axis_tilt": (2e-3, "2 mrad (0.2 mm over 100 mm)"),
-    "rail_tilt": (-4e-4, "0.4 mrad (0.04 mm over 100 mm)"),
-    "rail_bow": (1e-4, "0.1 mm"),
-    "mount_tilt": (7e-3, "7 mrad"),
-    "leg_length": (-3e-5, "0.03 mm"),
-    "bar_mismatch": (2e-3, "2 mm"),
-    "parallelogram_width": (1e-3, "1 mm"),
-    "thermal_growth": (3e-6, "3 µm a metre and kelvin"),
-    "thermal_drift": (2e-8, "72 µm a metre and hour"),
-    "gauge_direction": (0.02, "20 mrad"),
-    "gauge_scale": (-0.015, "1.5 %"),
-    "gauge_drift": (1e-8, "0.036 mm an hour"),
-    "plate_bow": (-2e-4, "0.2 mm"),
-    "plate_saddle": (-3e-4, "0.3 mm"),
-    "plate_trefoil": (3e-4, "0.3 mm"),
-}
-
-
-def test_every_size_is_said_in_its_unit() -> None:
-    assert all(e.words.size is None for n, e in CATALOGUE.items() if n not in SIZES)
-    every = dict(catalogue_of(LinearDelta.names)) | dict(CATALOGUE)
-    for name, (value, said) in SIZES.items():
-        assert size_words(every[name], value) == said
-        assert size_words(every[name], -value) == said
 
 
 @pytest.mark.parametrize(
@@ -151,28 +118,16 @@ MACHINE = Machine.nominal()
 ERRORS = {"joint_offset.x": 8e-4, "joint_offset.y": -5e-4}
 
 
-def tool(
-    kinds: tuple[str, ...], noise: float = 2e-6, odd: float = 0.0, errors: dict[str, float] = ERRORS
-) -> Readings:
-    """Places read by a tracker along all axes, or by a level about two, or touched; odd ones."""
-    rng = np.random.default_rng(11)
-    high = [1.0, 1.0, 0.0 if "plate" in kinds else 1.0]
-    rho = MACHINE.inverse(rng.uniform(-0.05, 0.05, (24, 3)) * high)
-    truth = MACHINE.with_parameters(errors)
-    pose, rows = truth.pose(rho), []
-    turn = 0.5 * (pose.R[:, [2, 0, 1], [1, 2, 0]] - pose.R[:, [1, 2, 0], [2, 0, 1]])
-    for kind in kinds:
-        seen = {"tcp": pose.p, "incline": turn, "plate": pose.p[:, 2:]}[kind]
-        for k, j in np.ndindex(len(rho), {"tcp": 3, "incline": 2, "plate": 1}[kind]):
-            value = seen[k, j] + noise * rng.standard_normal() + odd * rng.choice([-1, 1])
-            way = "" if kind == "plate" else "xyz"[j]
-            rows.append((kind, kind, way, *rho[k] * 1e3, value * 1e3, kind == "incline"))
-    names = ("kind", "setup", "direction", "rho_x_mm", "rho_y_mm", "rho_z_mm")
-    frame = {name: [row[k] for row in rows] for k, name in enumerate(names)}
-    frame["reading_mm"] = ["" if row[7] else row[6] for row in rows]
-    if "incline" in kinds:
-        frame["reading_mrad"] = [row[6] if row[7] else "" for row in rows]
-    return Readings.from_frame(frame, name="tool")
+def tool(*kinds: str, errors: dict[str, float] = ERRORS) -> Readings:
+    """Places of the tool that instruments read once."""
+    sheets = [instrument_sheet(MACHINE, kind) for kind in kinds]
+    firsts = [
+        sheet.subset(
+            np.sort(np.unique([*sheet.stations.T, sheet.axis], axis=1, return_index=True)[1])
+        )
+        for sheet in sheets
+    ]
+    return og.simulate(MACHINE.with_parameters(errors), concatenated(firsts), noise=2e-6, seed=11)
 
 
 TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
@@ -181,7 +136,7 @@ TWISTED = {**ERRORS, "mount_tilt.x.a": 0.012}
 @cache
 def with_level() -> RunOutcome:
     """A hinge that hardly moves the tool, and turns the platform."""
-    return studied([tool(("tcp", "incline"), errors=TWISTED)], MACHINE)
+    return studied([tool("tcp", "incline", errors=TWISTED)], MACHINE)
 
 
 def left_of(closed: RunOutcome, of: str, stage: Estimate) -> float:
@@ -217,7 +172,7 @@ def test_millimetres_and_milliradians_are_told_apart() -> None:
 
 def test_what_readings_do_not_see_is_said() -> None:
     """A level sees no zeros: an offset of 0.5 mm was told as nominal to 0.02 mm."""
-    level = tool(("incline",), errors={"joint_offset.x": 5e-4})
+    level = tool("incline", errors={"joint_offset.x": 5e-4})
     said = headline(run(Request("identify", (level,), MACHINE)))
     assert "These readings do not see the joint offsets" in said
     assert "consistent with the noise of the readings (0.020 mrad)" in said

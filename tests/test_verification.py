@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.errors import CrossCheckError, SolverError
+from orthoglide.errors import CrossCheckError
 from orthoglide.explanation.identifying import identify
-from orthoglide.fit import Estimate, solving
+from orthoglide.fit import Estimate
 from orthoglide.fit.crosscheck import MAX_POSTURES, verify
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, Stiffness
@@ -25,10 +24,9 @@ from orthoglide.mechanism.six_bars import TCP
 from orthoglide.observations import Campaign, protocol
 from orthoglide.report import result_text
 from orthoglide.result import Request, encoded
-from orthoglide.verdict import Verdict, close_loop, run
+from orthoglide.verdict import run
 
 RIG = Path(__file__).parent / "data" / "rig"
-NANOMETRE = 1e-9
 
 
 KEYS = {
@@ -48,20 +46,9 @@ def rig(number: int = 2) -> tuple[Campaign, Machine]:
 # -- in every result -------------------------------------------------------------------------
 
 
-def identified() -> Verdict:
+def test_a_result_says_how_far_pinocchio_is_from_it() -> None:
     campaign, machine = rig()
-    return run(Request("identify", (campaign,), machine, free=("joint_offset", "axis_tilt")))
-
-
-def closed() -> Verdict:
-    campaign, machine = rig()
-    return close_loop([campaign], machine)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("result", [identified, closed], ids=["identify", "close-loop"])
-def test_a_result_says_how_far_pinocchio_is_from_it(result: Callable[[], Verdict]) -> None:
-    found = result()
+    found = run(Request("identify", (campaign,), machine, free=("joint_offset", "axis_tilt")))
     written = json.loads(result_text(found))["verification"]
     assert set(written) == KEYS
     assert set(written["closure_residual_m"]) == {
@@ -161,36 +148,3 @@ def test_sensitivities_that_are_off_are_seen(
     else:
         found = verify(estimate()).sensitivity
         assert 1e-8 < found < 1e-6
-
-
-# -- the method by Pinocchio -----------------------------------------------------------------
-
-
-def agree(readings: Any, machine: Machine | None = None, **options: Any) -> Estimate:
-    """Pinocchio's Gauss-Newton against the programme: to a nanometre, or a nanoradian.
-
-    The programme's answer is IPOPT's own, without the Gauss-Newton steps that follow it.
-    """
-
-    def refused(*_: Any) -> None:
-        raise SolverError("no step after the programme")
-
-    judged = identify(readings, machine, method="pinocchio", **options)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(solving, "solve_nested", refused)
-        programme = identify(readings, machine, method="nlp", **options)
-    assert judged.method == "pinocchio"
-    assert programme.method == "nlp"
-    assert judged.names == programme.names
-    assert np.abs(judged.x - programme.x).max() < NANOMETRE
-    for name, sigma in programme.sigmas.items():
-        assert judged.sigmas[name] == pytest.approx(sigma, rel=1e-6)
-    assert judged.scores.chi2 == pytest.approx(programme.scores.chi2, rel=1e-6)
-    return judged
-
-
-def test_pinocchio_finds_what_the_programme_finds() -> None:
-    experiment = files("orthoglide") / "data" / "experiment2.csv"
-    agree(og.read_campaign(str(experiment)), priors=False)
-    campaign, machine = rig()
-    agree(campaign, machine, free=("joint_offset", "leg_length", "axis_tilt", "bar_mismatch"))
