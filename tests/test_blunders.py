@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from orthoglide.errors import InputError
-from orthoglide.explanation import data_faults
+from orthoglide.explanation import data_faults, ranked_readings
 from orthoglide.explanation.alternative_readings import alternative_readings, setups_to_reinterpret
 from orthoglide.explanation.corrections import with_exact_size
 from orthoglide.explanation.data_faults import (
@@ -23,7 +23,7 @@ from orthoglide.explanation.data_faults import (
 )
 from orthoglide.explanation.faults import Fault, setups_of
 from orthoglide.explanation.identifying import identify
-from orthoglide.fit import Estimate
+from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
 from orthoglide.observations import read_campaign
@@ -90,6 +90,11 @@ def test_deviations_of_the_published_experiments_have_no_faults(number, nominal)
 )
 def test_an_effect_is_no_fault(errors, nominal):
     assert found_in(rows_of("standard", seed=7, **errors), nominal) == ()
+
+
+def test_an_effect_in_no_catalogue_is_no_fault(machine):
+    rig = Rig(extra=(rc.warming_drive(1, 1e-4),))
+    assert found_in(rows_of("standard", seed=3, rig=rig), machine) == ()
 
 
 # -- each kind -------------------------------------------------------------------------------------
@@ -331,6 +336,16 @@ def test_a_label_puts_no_two_dials_at_one_place_at_once(machine):
     assert tried == {(1, 0), (1, 2), (2, 0), (2, 1)}
 
 
+def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
+    searched, search = [], ranked_readings.posterior_at_base_fit
+    monkeypatch.setattr(
+        ranked_readings, "posterior_at_base_fit", lambda fit: searched.append(fit) or search(fit)
+    )
+    (found,) = found_in(rc.wrong_unit(rows_of("standard", seed=2), "yz-0.5").rows, machine)
+    assert found.kind == "unit"
+    assert len(searched) == 1  # five were, of which four came far behind by one factorisation
+
+
 def test_readings_too_many_to_be_compared_with_misreadings_are_noted(machine, monkeypatch):
     fit = estimate_of(rows_of("standard", seed=2), machine)
     assert find_data_faults(fit).notes == ()
@@ -347,6 +362,24 @@ def test_a_search_that_ends_before_it_has_settled_says_so(machine, monkeypatch):
 
 
 # -- what is told, and what is left ----------------------------------------------------------------
+
+
+def test_the_message_names_the_place_and_scores_tell_what_it_cost(tmp_path, nominal):
+    path = tmp_path / "monday.csv"
+    rc.write_csv(rc.outlier(rows_of("standard"), 20, 0.5).rows, path)
+    campaign = read_campaign(path, nominal.spec)
+    estimate = identify(campaign, nominal, method="nested")
+    found = find_data_faults(estimate)
+    (blunder,) = reported(estimate, found)
+    assert blunder.message.startswith("monday.csv, line 22, setup 'yx-0.5', posture max: ")
+    assert "measure this place again" in blunder.message
+    assert blunder.files == {path.name: (22,)}
+    again = solve(without_faults(estimate.problem, found.faults), method="nested")
+    assert blunder.rms_with == pytest.approx(estimate.scores.rms, rel=1e-6)
+    assert blunder.rms_without < 0.3 * blunder.rms_with
+    assert len(again.residuals) == len(estimate.residuals) - 1
+    # The noise was that of the repeats, the slip among them.
+    assert again.problem.noise.typical < 0.3 * estimate.problem.noise.typical
 
 
 MISREAD: dict[str, tuple[Callable[[list[rc.Row]], rc.Fault], dict[str, Any]]] = {

@@ -171,6 +171,12 @@ def test_what_cannot_be_asked(arguments: tuple[str, ...], words: str, here: Path
     assert tree(here) == before
 
 
+def test_a_command_is_a_number() -> None:
+    result = run("forward", "300", "300", "ten")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "'ten' is not a number" in result.stderr
+
+
 def test_what_has_an_effect_is_taken(here: Path) -> None:
     og.Machine.nominal().save("m.toml")
     made = ("simulate", "--machine", "m.toml", "--exact")

@@ -10,7 +10,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from orthoglide.scene.marks import arrow
 
 import orthoglide as og
 from orthoglide.effects import Catalogue
@@ -18,7 +17,7 @@ from orthoglide.machine_file import MachineFile
 from orthoglide.parameters import Parameter
 from orthoglide.pictures import dials, option
 from orthoglide.scene import Dial, Mark, Posed, drawing
-from orthoglide.scene.drawing import blank_paper
+from orthoglide.scene.drawing import arrow, blank_paper
 from tests.test_first_screen import PER, SCALES
 from tests.test_layout import DELTA, freely
 

@@ -58,6 +58,28 @@ def mistyped(folder: Path, distance: str, typed: str) -> Imported:
     return imported(folder, text)
 
 
+@pytest.mark.parametrize(
+    ("distance", "typed", "off"),
+    [
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (("11", "63.9", -1.0), ("3", "73.0", 8.0))
+        ),
+        ("8", "63.8", -1.0),
+    ],
+)
+def test_a_mistyped_distance_is_a_slip_without_a_mesh(
+    distance: str, typed: str, off: float, tmp_path: Path
+) -> None:
+    found = mistyped(tmp_path, distance, typed)
+    (slip,) = og.close_loop(found.campaigns, og.Machine(found.machine)).blunders
+    assert slip.kind == "outlier"
+    (readings,) = found.campaigns
+    assert readings.posture[readings.line.tolist().index(slip.rows[0])] == distance
+    (size,) = re.findall(r"mm is ([−+0-9.]+) mm off", slip.message)
+    assert float(size.replace("−", "-")) == pytest.approx(off, abs=0.3)
+
+
 def test_two_mistyped_distances_do_not_accuse_a_sound_one() -> None:
     """Two opposite errors of a millimetre were taken for an error of a distance between them."""
     found = og.import_printer(FIELD / "two-distances-mistyped" / "printer.cfg")
@@ -208,17 +230,22 @@ def test_what_is_more_probable_than_not_is_told_and_tested() -> None:
     assert "carriage b" in test.options[0].confirm
 
 
-def test_travel_that_is_said_to_be_counted_down_is_adequate() -> None:
+def test_travel_that_is_counted_down_is_told() -> None:
     folder = FIELD / "travel-counted-down"
     machine = og.Machine.load(folder / "machine.toml")
+    readings = og.read_readings(folder / "plate.csv", machine.spec)
+    with pytest.raises(
+        og.InputError, match=r"fit a plane to 0\.00\d mm: set sign = \[-1, -1, -1\]"
+    ):
+        og.close_loop(readings, machine)
     right = og.Machine(replace(machine.spec, controller=Controller(sign=(-1, -1, -1))))
-    assert studied(og.read_readings(folder / "plate.csv", right.spec), right).word == "adequate"
+    again = og.read_readings(folder / "plate.csv", right.spec)
+    assert studied(again, right).word == "adequate"
 
 
 @pytest.mark.parametrize(
     ("factors", "remedy"),
     [
-        ((-1, -1, -1), "they fit a plane to 0.00N mm: set sign = [-1, -1, -1]"),
         ((1, -1, 1), "the other way by b they fit a plane to 0.00N mm: set sign = [1, -1, 1]"),
         ((0.5, 0.5, 0.5), "multiplied by 2 they fit a plane to 0.00N mm: look at microsteps"),
         ((0.1, 0.1, 0.1), "multiplied by 10 they fit a plane to 0.00N mm: look at"),
@@ -300,6 +327,14 @@ def test_a_part_of_metal_says_how_long_the_rods_are() -> None:
     assert "part_size.common" not in names
 
 
+def test_distances_of_other_microsteps_are_taken_so() -> None:
+    found = og.import_printer(FIELD / "distances-in-other-microsteps" / "printer.cfg")
+    assert any("0.5 times the microsteps of now" in str(note) for note in found.notes)
+    (readings,) = found.campaigns
+    assert int(readings.paired.sum()) == 12
+    assert int(readings.touching.sum()) == 7
+
+
 @pytest.mark.parametrize("times", [1.6, 1.25, 0.625, 4 / 3, 1.2])
 def test_distances_of_another_pulley_or_motor_are_converted(times: float, tmp_path: Path) -> None:
     """They were left out, as of different times or with a wrong number of one tower."""
@@ -371,6 +406,17 @@ def test_many_slips_are_none() -> None:
     wrong, of = map(int, re.findall(r"(\d+) of (\d+) readings would have to be wrong", note)[0])
     assert of in (7, 12)
     assert 4 * wrong > of
+
+
+def test_distances_in_centimetres_are_no_other_microsteps(tmp_path: Path) -> None:
+    text = (FIELD / "distances-in-other-microsteps" / "printer.cfg").read_text()
+    scaled = re.sub(r"(distance\d+ = )([0-9.]+)", lambda m: f"{m[1]}{float(m[2]) / 10:.4f}", text)
+    assert scaled != text
+    (tmp_path / "printer.cfg").write_text(scaled)
+    found = og.import_printer(tmp_path / "printer.cfg")
+    assert any("left out: all 12 distances" in str(note) for note in found.notes)
+    assert not any("positions of distances" in str(note) for note in found.notes)
+    assert not any(readings.paired.any() for readings in found.campaigns)
 
 
 def test_distances_in_another_unit_are_told_so(tmp_path: Path) -> None:

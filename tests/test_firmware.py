@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -18,6 +19,7 @@ from orthoglide.firmware.klipper import import_printer
 from orthoglide.firmware.plate_lists import import_plates
 from orthoglide.machine_file import machine_text, parse_machine_file, read_machine_file
 from orthoglide.observations import read_readings
+from orthoglide.observations.touched_plates import _note
 from tests.command_line import run as call
 from tests.klipper_files import DATA
 
@@ -271,6 +273,8 @@ def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:
     assert any("line 4: the number of heights is 2, not 3" in n for n in short.notes)
     cut = listed(tmp_path, head + sizes + rows.partition("  0.400")[0])
     assert any("2 rows of 3; more are missing below" in n for n in cut.notes)
+    long = listed(tmp_path, f"{head}{sizes}{rows}  0.700,  0.800,  0.900\n")
+    assert any("line 7: more than the 3 rows of the height map" in n for n in long.notes)
 
 
 def test_a_height_map_of_a_spreadsheet(tmp_path: Path) -> None:
@@ -344,3 +348,16 @@ def test_what_is_no_list_is_refused(kind: str, tmp_path: Path) -> None:
 def test_lists_are_of_a_linear_delta() -> None:
     with pytest.raises(FileError, match="layout orthoglide: lists of plate points are read for a"):
         import_plates(WORDS / "g29.txt", og.Machine.nominal())
+
+
+@pytest.mark.parametrize("sd", [0.19e-3, 0.25e-3])
+def test_scatter_between_lists_is_no_move_of_a_plate(sd: float) -> None:
+    """It was one by nothing: 'the plate of a.csv . An endstop ... was moved'."""
+    kinds = Counter[str]()
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        places, difference = rng.uniform(-0.1, 0.1, (60, 2)), sd * rng.standard_normal(60)
+        if note := _note("a", "b", places, difference):
+            kinds[note.kind] += 1
+            assert (" lies " in note or " is tilted " in note) == (note.kind == "moved")
+    assert kinds["apart"] > 5

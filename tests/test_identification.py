@@ -20,7 +20,7 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, crosscheck as crosscheck_module, nlp, solve
 from orthoglide.fit.crosscheck import by_reduction
 from orthoglide.fit.gauss_newton import solve_nested
-from orthoglide.fit.least_squares import Linearised, linearise
+from orthoglide.fit.least_squares import Linearised, linearise, normal_equations
 from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Dial, MachineFile
@@ -213,6 +213,12 @@ def test_common_axis_offset_cannot_be_seen() -> None:
     identify(measured("sweep"), MACHINE, ["joint_offset", "axis_offset"])  # priors make it whole
 
 
+def test_backlash_is_not_seen_from_one_side() -> None:
+    sheet = replace(measured("standard"), approach=np.ones((54, 3)))
+    with pytest.raises(UnidentifiableError, match=r"backlash\.x"):
+        identify(sheet, MACHINE, ["joint_offset", "backlash"], priors=False)
+
+
 def test_weak_directions_in_words() -> None:
     found = fit_of_published(priors=False)
     assert len(found.weak) == 3
@@ -363,6 +369,20 @@ def test_a_reduction_that_disagrees_is_an_error(monkeypatch: pytest.MonkeyPatch)
     assert caught.value.difference == pytest.approx(2e-9, rel=0.1)
 
 
+def test_optimality_is_the_gradient_that_is_left() -> None:
+    """At the fit a step along any unknown costs; a little off it, optimality would say so."""
+    found = identify(measured("standard once"), MACHINE, method="nlp")
+    assert found.optimality < 1e-6
+    here = normal_equations(found.problem, found.at, found.nuisance)
+    scale = 1 / np.sqrt(np.diag(here.information))
+    for k, name in enumerate(found.names):
+        for side in (-1, 1):
+            x = found.x.copy()
+            x[k] += side * scale[k]
+            cost = normal_equations(found.problem, linearise(found.problem, x), found.nuisance).cost
+            assert cost == pytest.approx(here.cost + 1, abs=0.05), name
+
+
 # -- scores --------------------------------------------------------------------------------------
 
 
@@ -400,8 +420,6 @@ def test_scores_by_hand() -> None:
     assert fit_of_published().scores.dof == pytest.approx(18 - 6 - 3, abs=0.01)
     assert found.nominal.rms > scores.rms
     assert np.allclose(found.predicted + residual, found.problem.measured)
-    assert np.allclose(np.diag(found.correlation), 1)
-    assert np.all(np.abs(found.correlation) <= 1 + 1e-12)
 
 
 def test_a_lone_reading_has_no_cross_validation() -> None:
@@ -412,3 +430,22 @@ def test_a_lone_reading_has_no_cross_validation() -> None:
     first = sheet.subset(np.unique(sheet.setup, return_index=True)[1])
     problem = problem_of(MACHINE, [first], MACHINE.catalogue.base)
     assert np.isnan(solve(problem).scores.cv_rms)
+
+
+# -- what a user gets ----------------------------------------------------------------------------
+
+
+def test_estimate_in_numbers_and_words() -> None:
+    found = identify(measured("standard"), MACHINE)
+    assert np.allclose(np.diag(found.correlation), 1)
+    assert np.all(np.abs(found.correlation) <= 1 + 1e-12)
+    shown = found.to_frame().loc["joint_offset.x"]
+    assert shown["value"] == pytest.approx(found.values["joint_offset.x"] * 1e3)
+    assert shown["unit"] == "mm"
+    text = str(found)
+    assert all(name in text for name in found.names)
+    assert "chi2" in text
+    before = found.problem.measured - found.predicted_before
+    assert np.sqrt(np.mean(before**2)) > 3 * found.scores.rms
+    spec = found.machine.spec
+    assert spec.parameters["joint_offset.x"].sigma == pytest.approx(found.sigmas["joint_offset.x"])

@@ -99,6 +99,14 @@ def apart(campaign: Readings, late: np.ndarray) -> Readings:
     return replace(campaign, setups=setups, setup=np.where(late, 1, campaign.setup))
 
 
+def test_what_moved_and_is_given_as_another_setup_is_nothing_wrong() -> None:
+    """As the sentence says."""
+    campaign, first = moved(3e-4)
+    verdict = studied([apart(campaign, campaign.line >= first)], MACHINE)
+    assert verdict.word == "adequate"
+    assert verdict.values["joint_offset.x"] == pytest.approx(0.7e-3, abs=5e-5)
+
+
 def test_a_tracker_in_any_frame_that_moved_is_fitted_as_another_setup() -> None:
     """Its later frame was searched from the base's axes, and loops of a machine did not close."""
     found = read("tcp")
@@ -198,6 +206,15 @@ def test_a_coarse_step_is_seen_and_is_noise(kind: str, step: float) -> None:
         assert estimate.sigma_scale < 1.5
         noise = np.hypot(estimate.problem.sigma, estimate.problem.shared_rounding_sd)
         assert np.sqrt(np.mean(noise**2)) > 0.28 * step
+
+
+def test_copied_repeats_say_nothing_of_the_noise() -> None:
+    """They had made it a tenth of what is usual, without a word."""
+    campaign = read("plate", passes=2)
+    half = campaign.reading[: len(campaign) // 2]
+    found = og.identify([replace(campaign, reading=np.tile(half, 2))], MACHINE)
+    assert found.problem.sigma == pytest.approx(2e-5)
+    assert any(w.kind == "copies" for w in found.warnings)
 
 
 @pytest.mark.parametrize("kind", ["tcp", "incline"])
