@@ -162,8 +162,8 @@ def test_a_d_optimal_design_beats_random_ones_and_the_protocol(machine):
     ("families", "count", "word"),
     [
         (["gauge_scale"], 12, "mounting"),
-        (["joint_offset"], 1, "ask for 2 readings"),
-        (["joint_offset"], 2000, "to 500, not 2000"),
+        (["joint_offset"], 1, "whole number from 2 to 500. A single reading"),
+        (["joint_offset"], 2000, "2000 readings cannot be chosen: give a whole number"),
         (["thermal_growth"], 12, "leave it out"),
     ],
 )

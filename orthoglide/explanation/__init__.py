@@ -30,7 +30,7 @@ Search and posterior
     alternatives          alternatives to each active group
 
 Data faults and changes
-    assumed_noise         the noise that is assumed, tested by repeats; smaller noise where likelier
+    assumed_noise         the noise assumed of each instrument: checked, enlarged, reduced
     alternative_readings  signs, units, labels, shifts, whole turns: other data that the readings
                           may be
     full_likelihood       their likelihood over wide backgrounds
@@ -41,8 +41,8 @@ Data faults and changes
     data_faults           the loop that finds, corrects and reports faults and changes
 
 Results
-    causes                what is read from the posterior, curves of free-form errors, members of a
-                          class, and base parameters far beyond their tolerances
+    causes                causes and curves read from the posterior, and base parameters far beyond
+                          their tolerances
     credible_sets         credible sets from the posterior
     lack_of_fit           tests of the lack of fit, and the residual by setup
     budget                what each cause contributes to readings and tool

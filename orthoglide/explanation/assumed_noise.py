@@ -1,5 +1,5 @@
-"""Tests of the assumed noise by repeats, before the search: instruments that scatter too much,
-outlying repeats, and noise that was declared too large or too small.
+"""The noise assumed of each instrument: checked and enlarged by repeats, re-estimated after each
+correction of data faults, and reduced where the posterior has more evidence with less.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from orthoglide.observations import Readings
 from orthoglide.observations.tables import repeat_rows, repeat_steps
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of
 
-_LEAST_NOISE_SQUARE = 1e-4  # least ratio of squared noise: computed readings have none
+_MIN_VARIANCE_RATIO = 1e-4  # least ratio of noise variances: computed readings have no noise
 _ROUNDS = 6  # rounds of leaving out outliers: 12 changed no result
 
 _SCATTER_LIMIT, NO_NOISE_RATIO = 3.0, 10.0
@@ -37,8 +37,10 @@ _OUTLIER_RATIO = 4.0
 """Ratio to the robust scatter beyond which a difference is an outlier: chance 1 in 16 000."""
 
 _UPPER_QUANTILE, _MEDIAN_QUANTILE = (0.7, 1.04), (0.5, 0.674)
-"""Share of repeats without slips, and the normal quantile of that share; the second for differences
-of differences, in which a slip occurs twice as often."""
+"""Share of differences, assumed to be without slips, that gives their scatter, and the normal
+quantile of that share. The median, which tolerates more slips, is for noise that repeats refute: a
+slip occurs in up to three differences of steps, and a ratio of 1.2 refutes. Other limits are wide
+enough for the upper quantile."""
 
 _REFUTING_RATIO, _REFUTING_CHANCE = 1.2, 1e-3
 """Ratio to the assumed noise beyond which repeats refute it, and the largest probability of such
@@ -46,7 +48,7 @@ scatter by chance, as in the note of the fit."""
 
 
 def find_scattered_setups(problem: Problem) -> list[Fault]:
-    """Return the setups of dials whose repeats scatter more than those of any dial.
+    """Return the setups of dials whose repeats scatter more than the repeats of a working dial can.
 
     Noise estimated from repeats is compared with that of the machine file or of typical dials. A
     shifted datum or a single slip does not count as scatter.
@@ -78,8 +80,8 @@ def find_scattered_setups(problem: Problem) -> list[Fault]:
 
 
 def check_scatter(problem: Problem) -> None:
-    """Refuse readings of the tool whose repeats, with data faults corrected, scatter more than
-    those of any such instrument.
+    """Refuse readings of the tool whose repeats, with data faults corrected, scatter more than the
+    repeats of a working instrument can.
 
     Raises:
         InputError: names file and setup, and what to do.
@@ -155,15 +157,15 @@ def _robust_scatter(
 def with_refuted_noise_enlarged(problem: Problem) -> Problem:
     """Return the problem with larger noise where repeats refute the noise that was assumed.
 
-    There is one scale for each kind of instrument, and a larger one for a setup that scatters more
-    than the others of its kind.
+    There is one scale for each kind of instrument in a file, and a larger one for a setup that
+    scatters more than the others of its kind in that file.
     """
     factors, scales, refuted = [], list[float](), dict[str, tuple[int, float]]()
     for factor in problem.factors:
         scale = np.ones(len(factor.readings))
         for kind in dict.fromkeys(factor.readings.kind):
             of_kind = factor.readings.of_kind(kind) & factor.noise.weighted
-            scale_of_kind, dof = _noise_scales(factor, np.flatnonzero(of_kind))
+            scale_of_kind, dof = _scales_by_repeats(factor, np.flatnonzero(of_kind))
             scale = np.where(of_kind, scale_of_kind, scale)
             if dof:
                 count, dof_before = refuted.get(kind, (0, 0.0))
@@ -177,7 +179,7 @@ def with_refuted_noise_enlarged(problem: Problem) -> Problem:
     return replace(problem, factors=tuple(factors), noise=larger)
 
 
-def _noise_scales(factor: Factor, rows: Rows) -> tuple[Array, float]:
+def _scales_by_repeats(factor: Factor, rows: Rows) -> tuple[Array, float]:
     """Return the ratio of the noise of repeats to that assumed, by reading ``(n,)``, 1 where it is
     not refuted, and the degrees of freedom of the noise that refutes it.
 
@@ -222,18 +224,18 @@ def _dof_of_differences(differences: Array) -> float:
     return len(differences) / 2
 
 
-def with_smaller_noise(problem: Problem, squares: Mapping[str, float]) -> Problem:
+def with_smaller_noise(problem: Problem, variance_ratios: Mapping[str, float]) -> Problem:
     """Return the problem with smaller noise, at least the rounding of the instruments.
 
     Args:
         problem: the readings.
-        squares: ratio of the squared noise to that assumed, by kind of reading.
+        variance_ratios: ratio of the noise variance to that assumed, by kind of reading.
     """
     factors = []
     for factor in problem.factors:
         noise, rounding = factor.noise, factor.noise.step / np.sqrt(12)
-        square = np.array([squares[kind] for kind in factor.readings.kind])
-        ratio = np.sqrt(np.maximum(square, _LEAST_NOISE_SQUARE))
+        variance_ratio = np.array([variance_ratios[kind] for kind in factor.readings.kind])
+        ratio = np.sqrt(np.maximum(variance_ratio, _MIN_VARIANCE_RATIO))
         total = np.maximum(noise.total * ratio, rounding)
         scale = np.where(noise.weighted, total / noise.total, 1.0)
         smaller = replace(noise, sigma=noise.sigma * scale, common=noise.common * scale)
@@ -253,18 +255,18 @@ def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None 
         kinds |= set(np.array(factor.readings.kind)[factor.noise.from_repeats].tolist())
     if not kinds:
         return problem
-    left_out = np.zeros(len(problem.measured), dtype=bool) if excluded is None else excluded
-    parts = zip(problem.factors, problem.factor_rows, strict=True)
-    alike = [f.noise.weighted & (f.noise.source != "residuals") for f in problem.factors]
-    pairs = [(f, own & ~left_out[part]) for (f, part), own in zip(parts, alike, strict=True)]
+    excluded_rows = np.zeros(len(problem.measured), dtype=bool) if excluded is None else excluded
+    has_shared_noise = [f.noise.weighted & (f.noise.source != "residuals") for f in problem.factors]
+    parts = zip(problem.factors, problem.factor_rows, has_shared_noise, strict=True)
+    pairs = [(f, shared & ~excluded_rows[part]) for f, part, shared in parts]
     tables = [f.readings.subset(used) for f, used in pairs]
     steps = [f.noise.step[used] for f, used in pairs]
     noise_again, rows = noise_of(tables, problem.machine.spec, steps=steps)
     factors = []
-    for (factor, used), own, new in zip(pairs, alike, rows, strict=True):
-        of_kinds = np.isin(factor.readings.kind, list(kinds)) & own
-        if len(counted := np.flatnonzero(of_kinds[used])):
-            median = counted[np.argsort(new.sigma[counted])[len(counted) // 2]]
+    for (factor, used), shared, new in zip(pairs, has_shared_noise, rows, strict=True):
+        of_kinds = np.isin(factor.readings.kind, list(kinds)) & shared
+        if len(usable := np.flatnonzero(of_kinds[used])):
+            median = usable[np.argsort(new.sigma[usable])[len(usable) // 2]]
             row_of_new = np.full(len(used), median)
             row_of_new[used] = np.arange(used.sum())
             factor = factor.with_noise(np.flatnonzero(of_kinds), new.subset(row_of_new[of_kinds]))
@@ -279,36 +281,40 @@ def with_noise_reestimated(problem: Problem, excluded: NDArray[np.bool_] | None 
 
 
 _SCATTERED_REPEATS = 0.5
-"""Ratio of the expected squared noise to that of repeats below which a fault may have set them
-apart. By chance, ten repeats scatter twice as much in 3 of 100 campaigns."""
+"""Ratio of the usual noise variance to that of repeats below which an instrument may have been
+moved between them. By chance, ten repeats scatter twice as much in 3 of 100 campaigns."""
 
 _OVERSTATED_NOISE = 0.25
 """Chi2 per degree of freedom below which the declared noise is at least twice too large."""
 
-State = tuple[Estimate, FullPosterior]
+FittedState = tuple[Estimate, FullPosterior]
 """A fit of the base model, and its posterior."""
 
 
-def with_likelier_noise(base: Estimate, posterior: FullPosterior) -> list[State]:
-    """Return the fit and its posterior; before them, with smaller noise if its evidence is larger:
-    larger noise would hide a fault.
+def states_by_noise(base: Estimate, posterior: FullPosterior) -> list[FittedState]:
+    """Return the states to search for faults, the likeliest first: the given fit and posterior,
+    preceded by those with smaller noise if these have more evidence. Both are searched, because
+    noise assumed too large hides faults.
     """
-    either = [(base, posterior)]
-    if squares := _smaller_noise_squares(posterior):
+    candidates = [(base, posterior)]
+    if variance_ratios := _smaller_variance_ratios(posterior):
         with suppress(NumericsError):  # readings far off drive a fit to where no loop closes
-            smaller = fit_nested(with_smaller_noise(base.problem, squares), base.x)
-            either.append((smaller, posterior_with_corrected_commands(smaller)))
-    likelier = best_of(either, lambda one: one[1].evidence, LOG_ODDS_MARGIN)
-    return [likelier] if likelier is either[0] else [likelier, either[0]]
+            smaller = fit_nested(with_smaller_noise(base.problem, variance_ratios), base.x)
+            candidates.append((smaller, posterior_with_corrected_commands(smaller)))
+    likelier = best_of(candidates, lambda state: state[1].evidence, LOG_ODDS_MARGIN)
+    return [likelier] if likelier is candidates[0] else [likelier, candidates[0]]
 
 
-def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
-    """Return ratios of the squared noise to that assumed, by kind of reading, where the noise is
-    probably smaller: overstated, or that of repeats which a fault has set apart. An instrument that
-    was moved scatters at places that were read before and after.
+def _smaller_variance_ratios(posterior: FullPosterior) -> dict[str, float]:
+    """Return the ratio of a plausible smaller noise variance to that assumed, by kind of reading;
+    empty if there is no reason for one.
+
+    There are two reasons: the chi2 of the fit is far below its degrees of freedom (overstated
+    noise), or repeats scatter much more than is usual for the instrument, which happens if it was
+    moved between two visits to a station.
     """
     if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:
-        return _noise_square_ratios(posterior)
+        return _fitted_variance_ratios(posterior)
     usual = dict[str, float]()
     for factor in posterior.before.problem.factors:
         noise = factor.noise
@@ -320,13 +326,13 @@ def _smaller_noise_squares(posterior: FullPosterior) -> dict[str, float]:
     return usual if min(usual.values()) < _SCATTERED_REPEATS else {}
 
 
-def _noise_square_ratios(posterior: FullPosterior) -> dict[str, float]:
-    """Return the ratio of the squared noise of the best explanation to that assumed, by kind of
-    reading, because the noise of one instrument alone may be overstated.
+def _fitted_variance_ratios(posterior: FullPosterior) -> dict[str, float]:
+    """Return the ratio of the noise variance that the best explanation leaves to that assumed, 1 at
+    most, by kind of reading: the noise of a single instrument may be overstated.
     """
     kinds = {kind for factor in posterior.before.problem.factors for kind in factor.readings.kind}
     chi2, dof = dict.fromkeys(kinds, 0.0), dict.fromkeys(kinds, 0.0)
-    for one in noise_scales(posterior.after):
-        chi2[one.setup.kind] += one.chi2
-        dof[one.setup.kind] += one.dof
+    for scale in noise_scales(posterior.after):
+        chi2[scale.setup.kind] += scale.chi2
+        dof[scale.setup.kind] += scale.dof
     return {kind: min(chi2[kind] / dof[kind], 1.0) if dof[kind] > 0 else 1.0 for kind in kinds}

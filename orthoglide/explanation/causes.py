@@ -1,4 +1,4 @@
-"""What is read from the posterior: credible sets, curves, and base parameters far beyond."""
+"""Causes and curves read from the posterior, and base parameters far beyond their tolerances."""
 
 from __future__ import annotations
 
@@ -7,21 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from orthoglide.effects import free_form_words
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.free_form_place import Range
-from orthoglide.effects.wording import cause_short
-from orthoglide.explanation.free_form import free_form_columns_of_factor
 from orthoglide.explanation.full_posterior import FullPosterior
-from orthoglide.explanation.linear_model import Group
-from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES, Factor
+from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, descending
-from orthoglide.prediction import ReadingPoses
 from orthoglide.result import CandidateScore, Cause, Curve, Explanation, Located
 
 CREDIBLE = 0.95
@@ -56,15 +51,16 @@ def smallest_count(odds: Array, probability: float) -> int:
 
 
 def pool_variants(odds: Array, errors: Mapping[int, FreeForm]) -> tuple[Array, dict[int, str]]:
-    """Pool the jumps, the bumps, and the curves (a line and short waves too) of each part in the
-    most probable one, as they differ in their moments, places or shapes alone.
+    """Sum the probabilities of free-form errors that have the same part and kind (jump, bump or
+    curve) and assign the sum to the most probable.
 
     Args:
         odds: probabilities of groups in one credible set ``(groups,)``.
         errors: free-form errors by group.
 
     Returns:
-        The pooled probabilities, and for each pooled error a clause: its moments or places of 95 %.
+        These probabilities ``(groups,)``, and for each pooled jump or bump a clause with the 95 %
+        range of its moments or places.
     """
     variants = dict[tuple[str, bool, bool], list[int]]()
     for k in descending(odds):
@@ -136,7 +132,9 @@ def curve_of(
 
 
 def _values(error: FreeForm, value: Array, covariance: Array) -> dict[str, Any]:
-    """Return what a curve has of its values ``(k,)`` and their covariance ``(k, k)``, SI."""
+    """Return the fields of a curve that follow from its values ``(k,)`` and their covariance
+    ``(k, k)``, SI.
+    """
     size = error.size(value)
     return {
         "value": value,
@@ -149,7 +147,8 @@ def _values(error: FreeForm, value: Array, covariance: Array) -> dict[str, Any]:
 
 def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -> Curve:
     """Return the curve of a wave, averaged over all periods that it may have in the place of an
-    active group: their differences belong to its standard deviation. Other curves stay.
+    active group: their differences are part of its standard deviation. A curve that is not a wave
+    is returned unchanged.
     """
     if curve.place.period is None:
         return curve
@@ -233,76 +232,3 @@ def _beyond_tolerance(
         )
         causes.append(Cause(explanation))
     return causes
-
-
-@dataclass(frozen=True, eq=False)
-class ClassMember:
-    """One located error, or a cause that resembles it, given all other causes."""
-
-    words: str  # where it is and how, as a clause
-    permanent: bool  # whether later readings show it: it depends neither on time nor on a dial
-    probability: float  # given all other causes
-    machine: Mapping[str, float]  # all parameters of the calibrated machine with it, SI
-    mean: Array  # of the class' coefficients (k,), in their units
-    covariance: Array  # of these (k, k)
-
-
-@dataclass(frozen=True, eq=False)
-class ClassMembers:
-    """The likeliest members of a class."""
-
-    posterior: FullPosterior  # that they are from
-    members: tuple[ClassMember, ...]  # most probable first
-    coefficients: NDArray[np.intp]  # of all parameters, then of the free-form errors (k,)
-    free_form_groups: tuple[Group, ...]  # that are active with any of the members
-
-    @classmethod
-    def from_posterior(
-        cls, posterior: FullPosterior, located: Located, max_members: int
-    ) -> ClassMembers:
-        """Return the likeliest members of a class, ``max_members`` at most."""
-        linearised, groups = posterior.linearised, posterior.mixture.linear.groups
-        alternatives = posterior.alternatives
-        probabilities = alternatives.probabilities(located.group)[:-1]
-        names = {curve.name for curve in located.members} | {*located.resembling}
-        chosen = [k for k in descending(probabilities) if groups[k].name in names][:max_members]
-        states = [alternatives.state(located.group, k) for k in chosen]
-        active = sorted({g for state in states for g, _ in state})
-        curves = tuple(groups[g] for g in active if groups[g].free_form)
-        spans = (curve.coefficients for curve in curves)
-        coefficients = np.concatenate([np.arange(linearised.parameter_count), *spans])
-        members = []
-        for k in chosen:
-            mean, covariance = alternatives.moments(located.group, k, coefficients)
-            if groups[k].free_form:
-                words, permanent = groups[k].source.words, _is_permanent(groups[k].source)
-            else:
-                words, permanent = cause_short(posterior.machine.catalogue, groups[k].name), True
-            members.append(ClassMember(words, permanent, float(probabilities[k]),
-                                       posterior.machine_values(mean), mean[coefficients],
-                                       covariance))  # fmt: skip
-        return cls(posterior, tuple(members), coefficients, curves)
-
-    def rows(self, factor: Factor) -> tuple[Array, ReadingPoses]:
-        """Return new readings of the machine by coefficient ``(n, k)``, and the poses of their
-        instruments.
-
-        The machine is that of the last campaign, without the errors that are not permanent.
-        """
-        posterior, fit = self.posterior, self.posterior.after
-        machine, catalogue = fit.problem.machine, fit.problem.machine.catalogue
-        values = catalogue.machine_values(fit.problem.values(fit.problem.last_factor_index, fit.x))
-        names, weights = posterior.machine_weights
-        in_catalogue = [k for k, name in enumerate(names) if name in catalogue.motions]
-        linearised = factor.linearise(machine.model, values, [names[k] for k in in_catalogue])
-        rows = linearised.jacobian @ weights[in_catalogue]
-        curves = [group for group in self.free_form_groups if _is_permanent(group.source)]
-        errors = [group.source for group in curves]
-        blocks = free_form_columns_of_factor(factor, machine.model, values, errors)
-        for group, columns in zip(curves, blocks, strict=True):
-            rows[:, group.coefficients] = columns
-        return rows[:, self.coefficients], linearised.reading_poses
-
-
-def _is_permanent(error: FreeForm) -> bool:
-    return not (error.of_dial or error.against == "time")

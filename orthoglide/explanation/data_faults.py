@@ -20,11 +20,11 @@ from orthoglide.explanation.alternative_readings import (
     setups_to_reinterpret,
 )
 from orthoglide.explanation.assumed_noise import (
-    State,
+    FittedState,
     check_scatter,
     find_scattered_setups,
     outlying_repeats,
-    with_likelier_noise,
+    states_by_noise,
     with_noise_reestimated,
 )
 from orthoglide.explanation.base_fit import fit_nested
@@ -90,7 +90,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         progress: called at each round of the search.
 
     Raises:
-        InputError: if repeats scatter more than those of any such instrument.
+        InputError: if repeats scatter more than those of a working instrument can.
         NumericsError: if the loops do not close with the estimated parameters.
     """
     problem = estimate.problem
@@ -104,7 +104,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
         first = posterior_with_corrected_commands(base)
-        states = with_likelier_noise(base, first)
+        states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
         if changes and misreading is None:  # which may explain the readings without changes
@@ -228,7 +228,7 @@ def _with_tolerance_priors(problem: Problem) -> Problem:
 
 
 def _find_misreading(
-    states: Sequence[State], faults: Sequence[Fault], other_evidence: float = -np.inf
+    states: Sequence[FittedState], faults: Sequence[Fault], other_evidence: float = -np.inf
 ) -> Fault | None:
     """Return the misreading, among setups without a known one, that explains the readings clearly
     better than they stand; ``None`` if there is none.

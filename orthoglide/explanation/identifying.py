@@ -135,7 +135,7 @@ def _tool_fault_notes(estimate: Estimate) -> Iterator[Note]:
     no rows.
 
     Raises:
-        InputError: if repeats scatter more than those of any such instrument.
+        InputError: if repeats scatter more than those of a working instrument can.
     """
     problem = estimate.problem
     if not problem.tool_factors:

@@ -11,12 +11,12 @@ from orthoglide.planning.designs import (
 )
 from orthoglide.planning.detectable import (
     detectable_rows as detectable_rows,
+    predicted_problem as predicted_problem,
     smallest_effects as smallest_effects,
 )
 from orthoglide.planning.instrument_choice import (
     suggest_instruments_for_causes as suggest_instruments_for_causes,
 )
-from orthoglide.planning.linear import predicted_problem as predicted_problem
 from orthoglide.planning.rivals import (
     next_measurements as next_measurements,
     suggest_separating_located_errors as suggest_separating_located_errors,

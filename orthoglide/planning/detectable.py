@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import Any
 
@@ -16,7 +16,7 @@ from orthoglide.effects.wording import parameter_words
 from orthoglide.errors import InputError, check_integer, check_list
 from orthoglide.explanation.candidates import Candidate, Signatures, signatures
 from orthoglide.explanation.change_search import INDISTINGUISHABLE_CHI2
-from orthoglide.fit import solve
+from orthoglide.fit import Problem, assemble, expected_sigma, solve
 from orthoglide.frames import Framed
 from orthoglide.geometry import Array
 from orthoglide.layout import LegNames
@@ -24,7 +24,8 @@ from orthoglide.machine import Machine, MachineSource
 from orthoglide.observations import Readings
 from orthoglide.ordering import best_of, largest
 from orthoglide.parameters import Parameter
-from orthoglide.planning.linear import predicted_problem
+from orthoglide.planning.linear import with_repeatability
+from orthoglide.simulation import simulate
 from orthoglide.text import abbreviated
 from orthoglide.units import Unit
 
@@ -181,6 +182,28 @@ def smallest_effects(
     return Detectability(tuple(smallest), invisible, threshold, catalogue.legs)
 
 
+def predicted_problem(
+    machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
+) -> Problem:
+    """Return the problem of joint offsets and leg lengths on the readings predicted for sheets.
+
+    Args:
+        machine: as it is believed to be.
+        sheet: one table or several; their readings do not count.
+        noise: standard deviation of one reading, metres.
+    """
+    rated = replace(machine, spec=with_repeatability(machine.spec))
+    # Predictions are exact, so the noise is declared: it cannot be estimated from their repeats.
+    sheets = [sheet] if isinstance(sheet, Readings) else sheet
+    if not len(sheets):
+        raise InputError("there are no readings: give at least one table of them")
+    predicted = []
+    for exact in (simulate(machine, readings, exact=True) for readings in sheets):
+        sigma = expected_sigma(exact, machine.spec) if exact.of_tool else exact.sigma
+        predicted.append(replace(exact, sigma=sigma))
+    return assemble(predicted, rated, machine.catalogue.base, noise=noise)
+
+
 def _evidence_threshold(weighted: Signatures, level: float, seed: int) -> float:
     """Return the evidence that the best candidate exceeds with probability ``level`` on noise."""
     if not (isinstance(level, Real) and 0 < level < 1):
@@ -214,8 +237,8 @@ def noncentrality(square: float, threshold: float) -> float:
 
 
 def required_separation() -> float:
-    """Return the distance in sigmas from which the wrong fit's chi2 is larger by the width of a
-    class.
+    """Return the distance in sigmas from which the wrong fit's chi2 is larger by more than that of
+    indistinguishable explanations.
 
     The difference of chi2 at distance D is normal with mean D^2 and standard deviation 2 D.
     """

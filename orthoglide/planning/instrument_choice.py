@@ -14,7 +14,6 @@ import numpy as np
 
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.causes import ClassMembers
 from orthoglide.fit import Problem
 from orthoglide.fit.factors import Factor, NuisanceBlock
 from orthoglide.fit.least_squares import linearise, nuisances
@@ -24,6 +23,7 @@ from orthoglide.numerals import compact
 from orthoglide.ordering import RELATIVE_MARGIN, ranked
 from orthoglide.parameters import split_campaign
 from orthoglide.planning.linear import RivalSeparation
+from orthoglide.planning.located_alternatives import LocatedAlternatives
 from orthoglide.planning.sheets import Suggestion, instrument_sheet
 from orthoglide.result import Cause, Explanation
 from orthoglide.text import MACHINE_OPTION, listed
@@ -38,11 +38,11 @@ _SHEET_HINT = "; a sheet for it: orthoglide design --owns {0}{1} --out {0}.csv"
 
 @dataclass(frozen=True, eq=False)
 class QuotedExplanation:
-    """One of the explanations of a credible set, or of the places of a class."""
+    """One cause or free-form error of a credible set."""
 
     words: str  # as it is quoted
     probability: float
-    cause: Explanation | None = None  # that it is, where it is no place
+    cause: Explanation | None = None  # that it is; `None` of a free-form error
 
 
 Pair = tuple[QuotedExplanation, QuotedExplanation]
@@ -92,18 +92,23 @@ def suggest_instruments_for_causes(
     )
 
 
-def suggest_instruments_for_located_errors(members: ClassMembers) -> tuple[Suggestion, ...]:
-    """Return the instruments at the tool that would separate the located errors of a class.
+def suggest_instruments_for_located_errors(
+    alternatives: LocatedAlternatives,
+) -> tuple[Suggestion, ...]:
+    """Return the instruments at the tool that would separate the alternatives of a located error.
 
     A probe does not count: a plate may have any shape, which a free-form error can imitate.
     """
-    rivals = [QuotedExplanation(f'"{m.words}"', m.probability) for m in members.members]
+    rivals = [QuotedExplanation(f'"{m.words}"', m.probability) for m in alternatives.members]
     proposals = (
-        p for p in _proposals(members.posterior.after.problem)
+        p for p in _proposals(alternatives.posterior.after.problem)
         if not p.problem.factors[0].readings.touching.any()
     )  # fmt: skip
     return _suggest_instruments(
-        "free-form errors", [rivals], proposals, lambda new, pairs: _place_separations(members, new)
+        "free-form errors",
+        [rivals],
+        proposals,
+        lambda new, pairs: _located_separations(alternatives, new),
     )
 
 
@@ -214,13 +219,14 @@ def _one_factor_problem(
 # -- what it would decide --------------------------------------------------------------------------
 
 
-def _place_separations(members: ClassMembers, new: Problem) -> list[float]:
-    """Return the separations of every two located errors, sigmas; new readings narrow each."""
-    rows, reading_poses = members.rows(new.factors[0])
-    means = np.stack([member.mean for member in members.members], axis=1)
+def _located_separations(alternatives: LocatedAlternatives, new: Problem) -> list[float]:
+    """Return the separations of every two alternatives, sigmas; new readings narrow each."""
+    members = alternatives.members
+    rows, reading_poses = alternatives.linearise(new.factors[0])
+    means = np.stack([member.mean for member in members], axis=1)
     whitened = nuisances(new, (reading_poses,)).project(np.hstack([rows, rows @ means]))
-    pairs = [*combinations(range(len(members.members)), 2)]
-    before = RivalSeparation.before([member.covariance for member in members.members], pairs)
+    pairs = [*combinations(range(len(members)), 2)]
+    before = RivalSeparation.before([member.covariance for member in members], pairs)
     return list(replace(before, information=whitened.T @ whitened).sigmas.values())
 
 

@@ -1,11 +1,15 @@
 """Readings linearised in the parameters asked for, and the choice of those of the largest gain.
 
-A reading is ``j x + datum + slope * place + rounding + noise``. Within a mounting the last four
-make readings correlated; a further reading, less what the chosen ones of its mounting predict of
-it, is ``d x + e`` with ``e`` independent of all else and of variance ``s2``. So every step is one
-scalar observation, which adds ``d' d / s2`` to the information on the unknowns. Two criteria
-measure its gain: the precision of some combinations of the unknowns, and the separation of rivals.
-A mounting begins with two readings: with a free datum, a single one contains no information.
+A reading is ``j x + datum + slope * placement + rounding + noise``: ``j`` is its derivative by the
+unknowns ``x``, ``slope`` its derivative by the dial's place along the leg. All readings of a
+mounting share the datum and the placement; visits to one station share the rounding; noise is
+independent. The part of a further reading that the chosen readings of its mounting do not predict
+is ``d x + e``, with variance ``s2`` of ``e``.
+
+So every step is one scalar observation, which adds ``d' d / s2`` to the information on the
+unknowns. Two criteria measure its gain: the precision of some combinations of the unknowns, and the
+separation of rivals. A mounting begins with two readings: with a free datum, a single one contains
+no information.
 """
 
 from __future__ import annotations
@@ -22,15 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import logsumexp
 
 from orthoglide.errors import InputError
-from orthoglide.fit import (
-    PUBLISHED_REPEATABILITY,
-    Problem,
-    assemble,
-    common_rounding,
-    expected_sigma,
-    noise_of,
-    weight_matrix,
-)
+from orthoglide.fit import PUBLISHED_REPEATABILITY, common_rounding, noise_of, weight_matrix
 from orthoglide.geometry import Array
 from orthoglide.instruments.leg_dial import PLACEMENT_INDEX
 from orthoglide.machine import Machine
@@ -39,7 +35,6 @@ from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.ordering import largest
 from orthoglide.prediction import MeasurementModel, ReadingPoses
-from orthoglide.simulation import simulate
 
 Pair = tuple[int, int]
 """Two rivals, the smaller number first."""
@@ -50,36 +45,40 @@ _MIN_SIGMA_SHARE = 0.1  # of a reading's sigma: its least part besides the commo
 
 @dataclass(frozen=True)
 class Steps:
-    """Readings that can be taken next."""
+    """Steps that can be taken next, each of one reading, or of two that begin a mounting."""
 
-    rows: NDArray[np.int64]  # of the campaign (k, 2); first -1 where the mounting stands already
+    # rows of the campaign (k, 2); the first is -1 of a single reading in a mounting that exists
+    rows: NDArray[np.int64]
     columns: Array  # `d` (k, P)
     variance: Array  # `s2` (k,), square metres
 
 
 @dataclass(frozen=True, eq=False)
 class LinearReadings:
-    """Readings of a campaign or a pool, with their derivatives and what they scatter by."""
+    """Readings of a campaign or a pool, with their derivatives and standard deviations."""
 
     campaign: Readings  # without readings
-    columns: Array  # derivative of each reading (n, P) by the parameters asked for
-    slope: Array  # by the dial's place (n,)
-    sigma: Array  # standard deviation of one visit (n,), metres
-    common: float  # of the rounding that all visits to a station share, metres
-    placement: float  # of the dial's place along the leg, metres
+    columns: Array  # derivative of each reading by the unknowns (n, P)
+    slope: Array  # derivative of each reading by the dial's place along the leg (n,)
+    sigma: Array  # standard deviation of the noise of one visit (n,), metres
+    common: float  # standard deviation of the rounding that visits to a station share, metres
+    placement: float  # standard deviation of the dial's place along the leg, metres
 
     @classmethod
     def of(
         cls, machine: Machine, campaign: Readings, names: Sequence[str], noise: float | None = None
     ) -> LinearReadings:
-        """Return the readings of a campaign, whose values do not count, linearised in parameters or
-        structured members, each in its tolerance.
+        """Return the readings of a campaign, linearised in parameters or structured members.
 
-        ``noise`` is the standard deviation of one reading, metres; else that of the rows, of the
-        machine file, or as published.
+        Args:
+            machine: about which the readings are linearised.
+            campaign: readings of dials; their values do not count.
+            names: parameters or structured members, the unknowns, each in units of its tolerance.
+            noise: standard deviation of one reading, metres; by default that of the rows, of the
+                machine file, or the published one.
 
         Raises:
-            InputError: where these are other readings than of single dials.
+            InputError: if there are readings other than of single dials on legs.
         """
         if any(s.observation.dials != 1 for s in campaign.setups):
             kinds = ", ".join(dict.fromkeys(campaign.kind))
@@ -90,7 +89,7 @@ class LinearReadings:
         setups = tuple(s.name for s in campaign.setups)
         parts, weights = elementary_weights(machine, names, setups)
         at = MeasurementModel(campaign).linearise(machine.model, machine.values, parts)
-        _, (row_noise,) = noise_of([campaign], _with_repeatability(machine.spec), noise)
+        _, (row_noise,) = noise_of([campaign], with_repeatability(machine.spec), noise)
         total = np.hypot(row_noise.sigma, row_noise.common)
         return cls.from_columns(machine, campaign, at.jacobian @ weights, at.reading_poses, total)
 
@@ -103,9 +102,9 @@ class LinearReadings:
         poses: ReadingPoses,
         total: ArrayLike,
     ) -> LinearReadings:
-        """Return readings by their derivatives ``(n, P)``, and by the poses of their dials.
+        """Return readings with known derivatives ``(n, P)`` and poses of their dials.
 
-        ``total`` is the standard deviation of one reading with rounding, metres, or ``(n,)``.
+        ``total`` is the standard deviation of a reading with rounding, metres: one, or ``(n,)``.
         """
         dial = machine.spec.dial
         sd = np.broadcast_to(np.asarray(total, dtype=float), (len(campaign),))
@@ -120,8 +119,8 @@ class LinearReadings:
         return group_ids(self.campaign.stations)
 
     def covariance(self, rows: ArrayLike, other_rows: ArrayLike) -> Array:
-        """Return the covariance ``(a, b)`` of readings of one mounting with others, noise left out
-        and parameters given.
+        """Return the covariance ``(a, b)`` of readings of one mounting with others of it, without
+        their noise and for given unknowns, square metres.
         """
         i, j = np.asarray(rows, dtype=np.int64), np.asarray(other_rows, dtype=np.int64)
         slopes = np.multiply.outer(self.slope[i], self.slope[j])
@@ -136,14 +135,16 @@ class LinearReadings:
 
     @cached_property
     def opening_steps(self) -> Steps:
-        """Pairs of readings to begin a mounting with: one at zero or an end, one anywhere else."""
+        """Pairs of readings that begin a mounting: one at the lowest, the median or the highest
+        command of the leg, the other at any other reading.
+        """
         pairs = []
         for setup, rows in enumerate(self.rows_by_setup):
             if len(rows) < 2:
                 continue
-            travel = self.campaign.command[rows, self.campaign.setups[setup].leg]
-            middle = largest(-np.abs(travel - np.median(travel)))
-            anchors = dict.fromkeys([largest(-travel), middle, largest(travel)])
+            command = self.campaign.command[rows, self.campaign.setups[setup].leg]
+            middle = largest(-np.abs(command - np.median(command)))
+            anchors = dict.fromkeys([largest(-command), middle, largest(command)])
             pairs += [(rows[a], r) for a in anchors for r in rows if r != rows[a]]
         table = np.array(pairs, dtype=np.int64).reshape(-1, 2)
         first, second = table.T
@@ -152,7 +153,7 @@ class LinearReadings:
         return Steps(table, columns, variance + (self.placement * slope) ** 2)
 
     def continuing_steps(self, setup: int, chosen: ArrayLike) -> Steps:
-        """Return the steps of one more reading, at any station, in a mounting that stands."""
+        """Return the steps of one more reading, at any station, in a mounting that exists."""
         rows, taken = self.rows_by_setup[setup], np.asarray(chosen)
         among = self.covariance(taken, taken) + np.diag(self.sigma[taken] ** 2)
         across = self.covariance(rows, taken)
@@ -179,7 +180,9 @@ class LinearReadings:
         return Steps(*map(np.concatenate, parts))
 
     def whitened(self, chosen: Sequence[int] | None = None) -> Array:
-        """Return rows ``(m, P)`` by the unknowns with unit variance, datums projected out."""
+        """Return the derivatives ``(m, P)`` of readings whitened to unit variance, with their
+        datums projected out.
+        """
         rows = np.arange(len(self.campaign))[slice(None) if chosen is None else list(chosen)]
         blocks = [np.empty((0, self.columns.shape[1]))]
         for setup in np.unique(self.campaign.setup[rows]):
@@ -199,35 +202,21 @@ class LinearReadings:
 def elementary_weights(
     machine: Machine, names: Sequence[str], setups: tuple[str, ...] = ()
 ) -> tuple[tuple[str, ...], Array]:
-    """Return elementary parameters, and the matrix ``(E, P)`` to them from names in tolerances."""
+    """Return the elementary parameters that ``names`` combine, and the matrix ``(E, P)`` from
+    values of ``names`` in tolerances to their values in SI.
+    """
     weights_by_name = [machine.catalogue.elementary_weights(name, setups) for name in names]
     parts = tuple(dict.fromkeys(p for weights in weights_by_name for p in weights))
     tolerance = np.array([machine.tolerance(name) for name in names])
     return parts, weight_matrix(parts, weights_by_name) * tolerance
 
 
-def _with_repeatability(spec: MachineFile) -> MachineFile:
-    """Return a machine file with the dial's repeatability, as published where it states none."""
+def with_repeatability(spec: MachineFile) -> MachineFile:
+    """Return a machine file with the dial's repeatability, the published one if it states none."""
     dial = spec.dial
     return replace(
         spec, dial=replace(dial, repeatability=dial.repeatability or PUBLISHED_REPEATABILITY)
     )
-
-
-def predicted_problem(
-    machine: Machine, sheet: Readings | Sequence[Readings], noise: float | None = None
-) -> Problem:
-    """Return the problem of zeros and lengths on the readings predicted for sheets."""
-    rated = replace(machine, spec=_with_repeatability(machine.spec))
-    # Predictions are exact, so the noise is declared: it cannot be estimated from their repeats.
-    sheets = [sheet] if isinstance(sheet, Readings) else sheet
-    if not len(sheets):
-        raise InputError("there are no readings: give at least one table of them")
-    predicted = []
-    for exact in (simulate(machine, readings, exact=True) for readings in sheets):
-        sigma = expected_sigma(exact, machine.spec) if exact.of_tool else exact.sigma
-        predicted.append(replace(exact, sigma=sigma))
-    return assemble(predicted, rated, machine.catalogue.base, noise=noise)
 
 
 _MAX_READINGS = 500  # readings of a sheet: a day's work, and some minutes to choose
@@ -298,9 +287,10 @@ class CombinationPrecision(Criterion):
 class RivalSeparation(Criterion):
     """How far rival explanations are separated once the unknowns have been fitted again.
 
-    The last columns of the readings are the predictions of each rival. With the covariance C of the
-    refitted unknowns, a step raises the expected chi2 between rivals a and b by
-    ``(d (x_a - x_b) expected)^2 / (s2 + d C d')``.
+    The last columns of the readings are the predictions of each rival. A step predicts ``e_a``
+    under rival a once the unknowns are refitted (``expected`` in `gains`). It raises the expected
+    chi2 between rivals a and b by ``(e_a - e_b)^2 / (s2 + d C d')``, where ``d`` is the row of the
+    unknowns and ``C`` their covariance.
     """
 
     prior_covariance: Array  # of the unknowns before any step, the mean of all rivals' (P, P)
@@ -365,17 +355,22 @@ C = TypeVar("C", bound=Criterion)
 def choose(
     readings: LinearReadings, start: C, count: int, *, mounting_cost: float = 2.0
 ) -> tuple[tuple[int, ...], C]:
-    """Return the readings, rows of the pool with repetitions, that raise a criterion most, step by
-    step by the gain for the cost, and the criterion with them.
+    """Choose readings greedily by gain per cost; return their rows in the pool (a row may occur
+    twice) and the final criterion.
 
-    ``mounting_cost`` is that of mounting a dial and taking its first two readings, in readings.
+    Args:
+        readings: the pool.
+        start: the criterion before any of them.
+        count: largest number of readings.
+        mounting_cost: cost of mounting a dial and taking its first two readings, in readings.
 
     Raises:
-        InputError: for a number of readings that is not whole, or out of range.
+        InputError: if the number of readings is not whole, or out of range.
     """
     if not isinstance(count, Real) or not 2 <= count <= _MAX_READINGS or count % 1:
         raise InputError(
-            f"ask for 2 readings, as the datum of a setup is free, to {_MAX_READINGS}, not {count}"
+            f"{count} readings cannot be chosen: give a whole number from 2 to {_MAX_READINGS}. A "
+            f"single reading only determines the datum of its setup"
         )
     taken, criterion = list[int](), start
     while len(taken) < count and not (taken and criterion.reached):

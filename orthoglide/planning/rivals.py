@@ -14,7 +14,6 @@ from orthoglide.arguments import public
 from orthoglide.effects.wording import cause_short, parameter_words
 from orthoglide.errors import InputError, check_type
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.causes import ClassMembers
 from orthoglide.fit import Estimate, normal_equations
 from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
@@ -29,6 +28,7 @@ from orthoglide.planning.linear import (
     RivalSeparation,
     choose,
 )
+from orthoglide.planning.located_alternatives import LocatedAlternatives
 from orthoglide.planning.sheets import DECISIVE_SIGMAS, Suggestion, reading_pool
 from orthoglide.prediction import Conditions, MeasurementModel, ReadingPoses
 from orthoglide.result import Located, WeakDirection
@@ -45,8 +45,8 @@ _MOST_DIRECTIONS = 2  # weak directions of a fit: further ones are determined we
 _MOUNTING_COST = 4.0  # cost of mounting a dial and taking its first two readings, in readings
 _MIN_SHAPE_RATIO = 0.02  # relative to the translation: a smaller difference in shape is ignored
 _COMMANDS_PER_AXIS = 3  # commands along each axis: enough to compare two machines
-_MAX_LOCATED_ERRORS = 6  # located errors to separate: the likeliest
-_READINGS_PER_CLASS = 12  # most readings proposed for the located errors of one class
+_MAX_LOCATED_ERRORS = 6  # alternatives of a located error to separate: the likeliest
+_READINGS_PER_SET = 12  # most readings proposed for the alternatives of one located error
 
 
 @dataclass(frozen=True)
@@ -270,19 +270,20 @@ def _tcp_consequence(machine: Machine, rivals: Sequence[Rival], noise: float) ->
 def suggest_separating_located_errors(
     posterior: FullPosterior, located: Located
 ) -> tuple[Suggestion, ...]:
-    """Return readings that would separate the likeliest located errors of a class, and a statement
-    on those that no reading separates.
+    """Return readings that would separate the likeliest alternatives of a located error, and a
+    statement on those that no reading separates.
 
     Each error is a rival with a free-form curve, which is fitted again on old and new readings.
     """
-    located_class = ClassMembers.from_posterior(posterior, located, _MAX_LOCATED_ERRORS)
-    machine, members = posterior.machine, located_class.members
+    alternatives = LocatedAlternatives.from_posterior(posterior, located, _MAX_LOCATED_ERRORS)
+    machine, members = posterior.machine, alternatives.members
     if len(members) < 2:
         return ()
     if not machine.geometry.dialled:
-        return suggest_instruments_for_located_errors(located_class)
+        return suggest_instruments_for_located_errors(alternatives)
     pool = _loaded_pool(posterior.after)
-    rows, reading_poses = located_class.rows(Factor.from_planned(pool.with_moves(), machine))
+    planned = Factor.from_planned(pool.with_moves(), machine)
+    rows, reading_poses = alternatives.linearise(planned)
     predicted = rows @ np.stack([member.mean for member in members], axis=1)
     columns = np.hstack([rows, predicted])
     readings = _linear_readings(posterior.after, pool, columns, reading_poses)
@@ -291,7 +292,7 @@ def suggest_separating_located_errors(
     pairs = [(a, b) for a, b in pairs if members[a].permanent or members[b].permanent]
     suggestions = list[Suggestion]()
     if pairs:
-        suggestions = _suggest_separating(machine, readings, rivals, pairs, _READINGS_PER_CLASS)
+        suggestions = _suggest_separating(machine, readings, rivals, pairs, _READINGS_PER_SET)
     temporary = [f'"{member.words}"' for member in members if not member.permanent]
     if len(temporary) > 1:
         reason = (
@@ -299,7 +300,7 @@ def suggest_separating_located_errors(
             f"or to the dials that were used. Look at the parts themselves"
         )
         suggestions.append(Suggestion(reason, "none", 0.0, pool))
-    if any(group.source.of_dial for group in located_class.free_form_groups):
+    if any(group.source.of_dial for group in alternatives.free_form_groups):
         advice = "; take another dial for them than before"
         suggestions = [replace(s, reason=s.reason + advice) if s.chosen else s for s in suggestions]
     return tuple(suggestions)

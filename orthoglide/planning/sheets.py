@@ -229,7 +229,7 @@ def _controller_commands(machine: Machine, p: Array) -> Array:
 
 Aim = Literal["separate", "narrow", "trace", "none"]
 
-DECISIVE_SIGMAS = 2.0  # sigmas: less leaves both in one class, which is a chi2 of 4 wide
+DECISIVE_SIGMAS = 2.0  # sigmas: a chi2 of 4; less leaves both in one credible set
 _VISITS = 2  # visits: a single one may be misread
 _NEIGHBOUR_DISTANCES = 3  # distances from a posture: itself, and those next to it
 _GAUGE_FRACTION = 0.5  # of the leg
