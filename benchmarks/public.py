@@ -183,7 +183,7 @@ def unseen_of(result: Mapping[str, Any]) -> list[str]:
 # -- without a public name -----------------------------------------------------------------------
 
 INSIDE = (
-    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.loop",
+    "orthoglide.accuracy", "orthoglide.cli", "orthoglide.closing.validation",
     "orthoglide.fit.factors", "orthoglide.machine_file", "orthoglide.measuring",
     "orthoglide.observations",
 )  # fmt: skip
@@ -227,7 +227,7 @@ def predicted_rms_mm(
     with: the closed loop has fitted it to noise as large as the residual, and takes it over.
     The shape of the plate that the verdict found is that of both lists: they are of one bed.
     """
-    from orthoglide.closing.loop import held_out_rms
+    from orthoglide.closing.validation import held_out_rms
 
     def off(values: Mapping[str, float], readings: og.Readings) -> float:
         return held_out_rms(values, machine, [readings]).length * 1e3

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from orthoglide.closing import RunOutcome, build_result, fill
-from orthoglide.closing.fill import picture
+from orthoglide.closing.drawing import picture
 from orthoglide.effects import CATALOGUE, Catalogue, catalogue_of
 from orthoglide.effects.free_form import free_forms
 from orthoglide.effects.wording import cause_short

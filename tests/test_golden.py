@@ -14,7 +14,7 @@ import pytest
 import orthoglide as og
 from orthoglide.accuracy import tcp_map
 from orthoglide.closing import RunOutcome
-from orthoglide.closing.loop import tcp_errors
+from orthoglide.closing.validation import tcp_errors
 from orthoglide.effects import CATALOGUE
 from orthoglide.explanation.identifying import identify
 from orthoglide.report import report_files

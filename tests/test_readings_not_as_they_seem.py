@@ -216,7 +216,7 @@ def test_points_that_judge_are_looked_at_as_well() -> None:
 
 def test_points_are_judged_by_what_they_are_known_to_themselves() -> None:
     """Noise of 20 um in the points is no error of a machine that is known to 1 um."""
-    from orthoglide.closing.loop import points_contradiction, tcp_errors
+    from orthoglide.closing.validation import points_contradiction, tcp_errors
 
     worn, rng = MACHINE.with_parameters(TRUTH), np.random.default_rng(2)
     rho = MACHINE.geometry.L + rng.uniform(*MACHINE.geometry.stroke, (40, 3))

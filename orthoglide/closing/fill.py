@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from itertools import accumulate, chain
 from typing import Any, Literal, TypeVar
-
-import numpy as np
 
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
 from orthoglide.closing.actions import actions, next_measurements, not_advised
+from orthoglide.closing.drawing import picture
 from orthoglide.closing.outcome import RunOutcome
-from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
-from orthoglide.effects.words import toward
 from orthoglide.errors import NumericsError
 from orthoglide.explanation import FullPosterior
-from orthoglide.explanation.change import Change
 from orthoglide.explanation.free_form import only_surface_readings
 from orthoglide.fit import Estimate, solve
 from orthoglide.fit.assembling import excited_effects, unmet_conditions, with_free
 from orthoglide.fit.estimate import fitted_readings
 from orthoglide.fit.noise_notes import noise_scales
-from orthoglide.geometry import LEGS
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
-from orthoglide.numerals import compact
 from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
-from orthoglide.pictures import dials, joint_mark, option
 from orthoglide.planning import next_sheet
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import (
-    Curve,
     Fit,
     Noise,
-    Picture,
     Possible,
     Proposal,
     Result,
@@ -48,73 +37,12 @@ from orthoglide.result import (
     encoded,
     fits,
 )
-from orthoglide.scene import Mark, Option
 from orthoglide.threads import on_one_thread
-
-
-def picture(outcome: RunOutcome) -> Picture:
-    """Return the drawing of the machine with the findings marked, or with the dial of the largest
-    residual.
-    """
-    machine = outcome.before.problem.machine.with_only({})
-    posed = machine.posed()
-    groups: list[list[Option]] = []  # one for each finding, most probable option first
-    for cause in outcome.effects:
-        causes = [option(machine, e.words, e.values) for e in cause.explanations]
-        groups.append([*causes, *(_located_option(machine, c) for c in cause.places)])
-    groups += [[_located_option(machine, c) for c in f.members] for f in outcome.located]
-    groups += [_change_options(machine, change) for change in outcome.moved]
-    dials_hold_most = outcome.lack_of_fit.dials_hold_most
-    if outcome.word == "unexplained" and dials_hold_most and outcome.request.searches:
-        groups.append([_residual_option(outcome)])
-    first_shown = accumulate([len(group) for group in groups[:-1]], initial=0) if groups else ()
-    mounted_dials = dials(posed, outcome.after.problem.campaigns)
-    return Picture(posed, mounted_dials, tuple(chain(*groups)), tuple(first_shown))
-
-
-def _change_options(machine: Machine, change: Change) -> list[Option]:
-    """Return the parameters that may have changed, each marked on its part."""
-    options = []
-    members = zip(change.member_clauses, change.change_by_member.items(), strict=True)
-    for words, (name, difference) in members:
-        drawn = option(machine, words, {name: difference} if math.isfinite(difference) else {})
-        marks = (replace(m, label=m.label and f"changed by {m.label}") for m in drawn.marks)
-        options.append(replace(drawn, marks=tuple(marks)))
-    return options
-
-
-def _located_option(machine: Machine, curve: Curve) -> Option:
-    """Return a located error with the mark of its joint, which moves by the curve found."""
-    place: FreeForm = curve.place
-    size = curve.size_words
-    if place.of_dial:
-        return Option(place.words, (Mark("dial", -1, np.zeros(3), size, setup=place.setup),))
-    if place.moves_bar_ends:
-        direction = np.eye(3)[LEGS.index(place.direction)]
-        return Option(place.words, (Mark("platform", place.leg, direction, size, both=True),))
-    # A curve without a sign runs to both sides of its line.
-    both, along = curve.loses or not place.is_signed, place.against == "travel"
-    bars = len(place.joints) > 1
-    value = curve.value if along else np.full(len(curve.at), curve.size)
-    travel = curve.at if along else np.linspace(*machine.geometry.stroke, len(curve.at))
-    joint = place.joints[0][0]
-    mark = joint_mark(machine, place.leg, joint, travel, value, size, both, bars)
-    return Option(place.words, (mark,))
-
-
-def _residual_option(outcome: RunOutcome) -> Option:
-    largest = outcome.lack_of_fit.by_dial[0]
-    direction = np.eye(3)[largest.axis] * np.sign(largest.most)
-    way = toward(LEGS[largest.axis], largest.most)
-    size = f"{compact(abs(largest.most) * 1e3, 2)} mm toward {way}"
-    words = f"the residual is largest on leg {LEGS[largest.leg]}: {size}"
-    return Option(words, (Mark("dial", largest.leg, direction, size, setup=largest.setup),))
-
 
 _ROUNDING = 1e-12
 """Metres: smaller differences of two derivations are rounding, which depends on the processor."""
 
-_ONE_OR_SEVERAL = "one alone, or several differently"
+_ONE_OR_SEVERAL = "a single one of them, or several of different sizes"
 
 R = TypeVar("R", bound=Result)
 T = TypeVar("T")
@@ -228,52 +156,61 @@ def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:
 
 
 def _unseen(outcome: RunOutcome) -> tuple[Unseen, tuple[str, ...]]:
-    """Return what the readings cannot detect, and the names of all parameters concerned."""
+    """Return the effects that the readings do not show, and the names of all parameters concerned.
+
+    An undetectable parameter was tested, and could not be detected at three tolerances. An untested
+    effect needs a condition that was not varied.
+    """
     problem, posterior = outcome.after.problem, outcome.posterior
     excited = {e.name for e in excited_effects(problem)} | {*outcome.catalogue.base}
-    unexcited = tuple(name for name in outcome.request.machine.catalogue if name not in excited)
-    hidden, unvaried = tuple[Parameter, ...](), dict[str, tuple[str, ...]]()
+    untested = tuple(name for name in outcome.request.machine.catalogue if name not in excited)
+    undetectable, conditions = tuple[Parameter, ...](), dict[str, tuple[str, ...]]()
     if posterior is not None:
-        hidden, effects = posterior.invisible, problem.machine.catalogue.effects
+        undetectable, effects = posterior.invisible, problem.machine.catalogue.effects
         considered = (e for e in effects if not (e.of_dial or e.instead_of))
-        unvaried = {e.name: unmet_conditions(problem, e) for e in considered if e.name in unexcited}
-    undetected, reason = _undetected_effects(outcome, hidden), _one_sided_reason(outcome, unvaried)
-    names = tuple(map(str, (*hidden, *outcome.catalogue.expand(list(unvaried)))))
-    return Unseen(undetected, unvaried, reason, unexcited), names
+        conditions = {
+            e.name: unmet_conditions(problem, e) for e in considered if e.name in untested
+        }
+    clauses = _undetectable_effects(outcome, undetectable)
+    reason = _one_sided_reason(outcome, conditions)
+    names = tuple(map(str, (*undetectable, *outcome.catalogue.expand(list(conditions)))))
+    return Unseen(clauses, conditions, reason, untested), names
 
 
-def _undetected_effects(
-    outcome: RunOutcome, invisible: tuple[Parameter, ...]
+def _undetectable_effects(
+    outcome: RunOutcome, undetectable: tuple[Parameter, ...]
 ) -> tuple[tuple[str, tuple[str, ...]], ...]:
-    """Return the effects that could not be detected at three tolerances, as `Unseen.effects`."""
+    """Return the effects with undetectable parameters, as `Unseen.effects`."""
     tested = [] if outcome.posterior is None else outcome.posterior.linearised.excited_parameters
-    tested_counts, hidden_counts = (Counter(n.effect for n in ns) for ns in (tested, invisible))
+    tested_counts, counts = (Counter(n.effect for n in ns) for ns in (tested, undetectable))
     explanations = (explanation for cause in outcome.effects for explanation in cause.explanations)
     found_effects = {e.catalogue.effect_of(e.name).name for e in explanations}
 
     def parameters_concerned(effect: str) -> tuple[str, ...]:
-        if hidden_counts[effect] == tested_counts[effect]:
+        if counts[effect] == tested_counts[effect]:
             return (_ONE_OR_SEVERAL,) if effect in found_effects else ()
-        names = (str(n) for n in invisible if n.effect == effect)
+        names = (str(n) for n in undetectable if n.effect == effect)
         return tuple(name.removeprefix(f"{effect}.") for name in names)
 
     catalogue = outcome.catalogue
-    return tuple((cause_short(catalogue, e), parameters_concerned(e)) for e in hidden_counts)
+    return tuple((cause_short(catalogue, e), parameters_concerned(e)) for e in counts)
 
 
 def _one_sided_reason(
-    outcome: RunOutcome, unvaried: dict[str, tuple[str, ...]]
+    outcome: RunOutcome, conditions: dict[str, tuple[str, ...]]
 ) -> Literal["", "fixed", "same", "unknown"]:
-    """Return why lost motion is not detected, as `Unseen.one_sided`."""
-    if not any("approach" in needs for needs in unvaried.values()):
+    """Return why lost motion is untested, as `Unseen.one_sided`.
+
+    Args:
+        outcome: of the run.
+        conditions: that untested effects need, by effect.
+    """
+    if not any("approach" in needs for needs in conditions.values()):
         return ""
     if only_surface_readings(outcome.after.problem):
         return "fixed"
     recorded = (f.conditions().approach.any() for f in outcome.after.problem.factors)
     return "same" if all(recorded) else "unknown"
-
-
-# --- Findings -------------------------------------------------------------------------------
 
 
 def _value_of(cls: type[T], source: object, **others: Any) -> T:

@@ -1,15 +1,11 @@
-"""The closed loop: test the residual, find its causes, identify again, and judge."""
+"""The closed loop: identify, find causes, test the residual, and give a verdict."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import product
 
-import numpy as np
-
-from orthoglide.accuracy import tcp_map
 from orthoglide.closing.outcome import RunOutcome
+from orthoglide.closing.validation import validate, validation_readings
 from orthoglide.explanation import (
     CredibleSets,
     FullPosterior,
@@ -35,128 +31,24 @@ from orthoglide.explanation.ranked_readings import check_drive_order
 from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
-from orthoglide.fit.least_squares import linearise, nuisances
-from orthoglide.fit.noise import rms_by_unit
 from orthoglide.fit.plausible import check_plausible
-from orthoglide.fit.scores import FittedRows
-from orthoglide.geometry import Array, align_points
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
-from orthoglide.numerals import SIGMAS_95, ByUnit, compact, distinct_figures
-from orthoglide.observations import Readings
-from orthoglide.observations.readings import Points
-from orthoglide.observations.tables import shared_fraction
-from orthoglide.prediction import Conditions
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import HoldOut, LackOfFit, Request, TcpErrors, Word
+from orthoglide.result import LackOfFit, Request, Word
 from orthoglide.threads import on_one_thread
-
-_MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
-
-
-def held_out_rms(
-    values: Mapping[str, float],
-    machine: Machine,
-    held: Sequence[Readings],
-    per_campaign: Sequence[str] = (),
-) -> ByUnit:
-    """Return the root mean square residual of readings that a machine was not fitted to; ``values``
-    are its parameters, SI.
-
-    Parameters specific to a campaign, its datums and its placements (of the tool's instruments all
-    parameters of a setup) are fitted to the campaign itself, each time without the reading scored.
-    """
-    machine_values = machine.catalogue.machine_values(values)
-    free = per_campaign or machine.catalogue.base
-    problem = assemble(held, machine.with_only(machine_values), free)
-    if per_campaign:
-        rows = solve(problem, method="nested").rows
-    else:
-        problem = replace(problem, unknowns=(), held=(machine_values,) * len(problem.factors))
-        linearised = linearise(problem, np.zeros(0))
-        nuisance = nuisances(problem, linearised.reading_poses)
-        rows = FittedRows.from_fit(problem, nuisance, linearised)
-    share = 1 - rows.leverage  # of the residual of a reading that its own fit leaves
-    return rms_by_unit(rows.residual / np.where(share > 1e-6, share, np.nan), problem.angular)
-
-
-def points_contradiction(errors: TcpErrors, stated_sigma: Array, points: Points) -> str:
-    """Return how measured points contradict the machine both with and without the finding, a
-    clause; empty if they do not, or if their accuracy is unknown. The errors are after the best
-    translation; ``stated_sigma`` is that of the calibrated machine ``(n, 3)``, metres.
-    """
-    declared_sigma = _declared_sigma(points)
-    if not declared_sigma.any():
-        return ""
-    expected = float(np.sqrt(np.mean(np.sum(stated_sigma**2 + declared_sigma**2, axis=1))))
-    if min(errors.before_mean, errors.after_mean) < _MAX_ERROR_RATIO * expected:
-        return ""
-    before, after = distinct_figures(errors.before_mean * 1e3, errors.after_mean * 1e3)
-    return (
-        f"the measured points fit this result neither with nor without what was found: the tool is "
-        f"{after} and {before} mm off, where {compact(expected * 1e3, 2)} mm are to be expected; "
-        f"look for what moved, or check the frame and the sigma of the points"
-    )
-
-
-def _declared_sigma(points: Points) -> Array:
-    """Return the declared standard deviation of a coordinate ``(m, 1)``, metres; 0 without one."""
-    return np.nan_to_num(points.sigma)[:, None]
-
-
-def tcp_errors(
-    machine: Machine,
-    given: Readings,
-    before: Mapping[str, float],
-    after: Mapping[str, float],
-    sigma: Array | None = None,
-) -> dict[str, TcpErrors]:
-    """Return errors at TCP points by alignment: none, the best translation, a rigid motion.
-
-    ``before`` and ``after`` are parameters, SI; ``sigma`` is the standard deviation for ``after``,
-    best translation removed ``(n, 3)``, metres, to which that of the points is added.
-    """
-    points = given.points()
-    conditions = Conditions.from_commands(points.command, approach=points.approach)
-    errors, declared_sigma = {}, _declared_sigma(points)
-    predicted = {
-        name: machine.model.outputs(values, conditions).p
-        for name, values in (("nominal", {}), ("before", before), ("after", after))
-    }
-    for fit in ("none", "translation", "rigid"):
-        figures, inside = {}, float("nan")
-        for name, p in predicted.items():
-            difference = _aligned(p, points.p, fit) - points.p
-            distance = np.sqrt(np.nansum(difference**2, axis=1))
-            figures[f"{name}_mean"] = float(distance.mean())
-            figures[f"{name}_max"] = float(distance.max())
-        if sigma is not None and fit == "translation":  # of `after`, the last
-            within = np.abs(difference) <= SIGMAS_95 * np.hypot(sigma, declared_sigma)
-            inside = float(np.mean(within[np.isfinite(difference)]))
-        errors[fit] = TcpErrors(**figures, inside=inside)
-    return errors
-
-
-def _aligned(p: Array, measured: Array, fit: str) -> Array:
-    """Return predicted points aligned with the measured ones, as ``fit`` says."""
-    if fit == "none":
-        return p
-    complete = np.isfinite(measured).all(axis=1)
-    if fit == "translation" or complete.sum() < 3:
-        return p + np.nanmean(measured - p, axis=0)
-    return align_points(p, p[complete], measured[complete])
-
 
 _MAX_RESIDUAL_SHARE = 0.1  # share of the base model's lack of fit that located errors may leave
 
-# Verdicts after which the search is not repeated without changes. A located error is absent: it may
-# be what a spurious change left over.
+# Verdicts after which the search is not repeated without changes. `located` is not in this list,
+# because a located error may be the residual of a spurious change.
 _FULLY_EXPLAINED = ("adequate", "diffuse", "explained", "ambiguous")
 
 
 @on_one_thread
 def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOutcome:
-    """Run a request: identify, search for causes, test the residual, and judge.
+    """Run a request: identify, search for causes, test the residual, and score the result on
+    readings and points held out.
 
     Raises:
         InputError: if the campaigns cannot be used.
@@ -167,7 +59,7 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     progress(Step("identifying", "joint offsets and leg lengths"))
     machine = request.machine
     check_plausible(request.given, machine, request.frame)
-    check_plausible(_validation_readings(request), machine)
+    check_plausible(validation_readings(request), machine)
     calibrated_names = [name for name, entry in machine.spec.parameters.items() if entry.sigma > 0]
     problem = assemble(
         request.given, machine, (*machine.catalogue.base, *calibrated_names),
@@ -207,9 +99,9 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
         ))  # fmt: skip
     progress(Step("verifying"))
     after = replace(outcome.after, verification=verify(outcome.after))
-    outcome = _with_warnings(replace(outcome, changed=changed, after=after), *notes)
+    outcome = replace(outcome, changed=changed, after=after).with_warnings(*notes)
     progress(Step("judging"))
-    return judge(outcome)
+    return validate(outcome)
 
 
 def _search(
@@ -260,7 +152,8 @@ def _reported_sets(
     is_missing = _lacks_explanation(fit_test) and not explains_most
     sets = replace(sets, effects=effects, located=() if is_missing else sets.located)
     word = _verdict(sets, fit_test)
-    # An unexplained residual needs further causes than one on a machine that is sound otherwise.
+    # A single cause on an otherwise sound machine (`alone`) cannot explain a residual that the
+    # verdict calls unexplained, so it is reported only after the verdicts adequate and diffuse.
     alone = sets.alone if word in ("adequate", "diffuse") else ()
     least = 0.0 if word == "unexplained" else EVEN_PROBABILITY
     possible = tuple(one for one in sets.possible if one.probability > least)
@@ -288,42 +181,6 @@ def _identify_only(request: Request, progress: Progress) -> RunOutcome:
         request=request, word=_verdict(CredibleSets(), fit_test), before=estimate, after=estimate,
         residual_test=fit_test, changed=estimate.changes,
     )  # fmt: skip
-
-
-def _validation_readings(request: Request) -> tuple[Readings, ...]:
-    """Return the readings and points held out, which are not fitted."""
-    return (*request.holdout, *([] if request.tcp is None else [request.tcp]))
-
-
-def judge(outcome: RunOutcome) -> RunOutcome:
-    """Return an outcome with the scores of the readings and points held out, and with warnings if
-    they contradict the stated errors or were fitted too.
-    """
-    request, machine = outcome.request, outcome.machine
-    problem, after = outcome.before.problem, outcome.values
-    before = problem.values(problem.last_factor_index, outcome.before.x)
-    scores, errors, notes = None, None, list[str]()
-    if held := request.holdout:
-        scores = HoldOut(*(held_out_rms(v, machine, held, request.own) for v in (before, after)))
-    if request.tcp is not None:
-        stated_sigma = tcp_map(outcome.machine, request.tcp.points().command).sigma
-        errors = tcp_errors(machine, request.tcp, before, after, stated_sigma)
-        points = request.tcp.points()
-        notes.append(points_contradiction(errors["translation"], stated_sigma, points))
-    pairs = product(_validation_readings(request), request.given)
-    share = max((shared_fraction(*pair) for pair in pairs), default=0.0)
-    if share > 0.5:
-        notes.append(
-            f"{100 * share:.0f} % of the readings held out were also fitted, so they do not test "
-            f"the result; hold out other readings"
-        )
-    judged = replace(outcome, hold_out=scores, tcp=errors)
-    return _with_warnings(judged, *(Note(text, "holdout") for text in notes if text))
-
-
-def _with_warnings(outcome: RunOutcome, *notes: Note) -> RunOutcome:
-    warnings = (*outcome.after.warnings, *notes)
-    return replace(outcome, after=replace(outcome.after, warnings=warnings))
 
 
 def _lacks_explanation(fit_test: LackOfFit) -> bool:

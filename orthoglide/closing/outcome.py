@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
@@ -14,6 +14,7 @@ from orthoglide.explanation.change import Change
 from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.fit import Estimate
 from orthoglide.machine import Machine
+from orthoglide.notes import Note
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
@@ -39,12 +40,17 @@ class RunOutcome(Judged, CredibleSets):
     before: Estimate  # base model: joint offsets and leg lengths, or what `identify` frees
     after: Estimate  # fit at the posterior mean; `before` after `identify`
     residual_test: LackOfFit  # lack of fit of the last fit, without residuals by setup
-    posterior: FullPosterior | None = None  # of everything; none after `identify`
+    posterior: FullPosterior | None = None  # of the full model; none after `identify`
     blunders: tuple[DataFault, ...] = ()  # data faults
     changed: tuple[Change, ...] = ()  # parameters that differ between campaigns
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
+
+    def with_warnings(self, *notes: Note) -> Self:
+        """Return the outcome with further warnings on its last fit."""
+        warnings = (*self.after.warnings, *notes)
+        return replace(self, after=replace(self.after, warnings=warnings))
 
     # --- The calibrated machine -------------------------------------------------------------
 
