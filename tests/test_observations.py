@@ -144,7 +144,7 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "one command in metres": (
         chained(*(cell(name, "0.31025", 8) for name in RHO)), "in metres: give millimetres", 8),
     "readings in metres": (scaled(1e-3, "reading_mm"), "not metres", 2),
-    "readings in micrometres": (scaled(1e3, "reading_mm"), "more than its leg can move", 14),
+    "readings in micrometres": (scaled(1e3, "reading_mm"), "a dial there can show at most", 14),
     "gauge in metres": (scaled(1e-3, "gauge_mm"), "gauge_mm is in metres", 2),
     "controller's values as rho": (shifted(-310.25, *RHO), "name the columns travel_x_mm", 2),
     "rho as controller's values": (TO_TRAVEL, "name the columns rho_x_mm", 2),
@@ -177,7 +177,7 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
         lambda rows: [*rows, rows[1]], "the reading of line 2 stands here again", 56),
     "repeats not numbered": (cell("repeat", "1"), "count it up in column repeat", 8),
     "order used twice": (cell("order", "2", 6), "order 2 stands for another command on line 4", 6),
-    "time runs back": (cell("time_s", "1e4", 4), "time_s runs back from line 4 to here", 5),
+    "time runs back": (cell("time_s", "1e4", 4), "time_s decreases from line 4 to here", 5),
     "fractional order": (cell("order", "1.5", 3), "not a whole number from 0", 3),
     "repeat from zero": (cell("repeat", "0", 3), "not a whole number from 1", 3),
     "order half filled in": (cell("order", "", 3), "order is empty", 3),
@@ -193,7 +193,7 @@ MALFORMED: dict[str, tuple[Fault, str, int]] = {
     "decimal comma in quotes": (cell("reading_mm", "3,1", 7), "write it like 12.34", 7),
     "number out of all range": (cell("reading_mm", "1e400", 7), "out of range", 7),
     "infinite": (cell("rho_x_mm", "inf", 7), "not a finite number", 7),
-    "a slip of the pen": (cell("reading_mm", "815", 7), "correct a slip", 7),
+    "a slip of the pen": (cell("reading_mm", "815", 7), "correct this reading", 7),
     "negative sigma": (added("sigma_mm", "-0.01"), "from 10⁻⁶ to 1", 2),
     "kelvin": (added("temperature_C", "293"), "from −40 to 100", 2),
     "a page in a cell": (cell("reading_mm", "x" * 100_000, 2), "is 'xxx", 2),
@@ -360,9 +360,9 @@ def in_turn(*readings: str) -> Fault:
 NOTICED: dict[str, tuple[Fault, str, int]] = {
     "unknown columns": (
         chained(added("operator", "me"), added("comment", "-")), "is not known and was ignored", 2),
-    "a dial that stands still": (in_turn("3.20"), "is the dial touching", 1),
-    "a dial that trembles": (in_turn("3.20", "3.21"), "is the dial touching", 1),
-    "a dial that moves": (in_turn("3.20", "3.22"), "is the dial touching", 0),
+    "a dial that stands still": (in_turn("3.20"), "check that the dial touches", 1),
+    "a dial that trembles": (in_turn("3.20", "3.21"), "check that the dial touches", 1),
+    "a dial that moves": (in_turn("3.20", "3.22"), "check that the dial touches", 0),
     "a temperature that is missing": (
         chained(added("temperature_C", "21"), cell("temperature_C", "", 2)),
         "temperature_C is empty in 1 of 54 rows", 1),

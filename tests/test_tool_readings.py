@@ -185,7 +185,7 @@ def test_the_frame_of_a_tracker_may_be_turned_but_not_left_handed() -> None:
         turned = found(Rotation.from_rotvec(angle * np.array(axis)).as_matrix())
         assert np.abs(turned.x - straight.x).max() < 1e-6
     mirror = np.diag([1.0, -1.0, 1.0])
-    with pytest.raises(og.InputError, match="left-handed, its x, y, z being x, −y, z of the mach"):
+    with pytest.raises(og.InputError, match=r"machine's x, −y, z \(a left-handed frame\)"):
         found(mirror)
 
 
@@ -204,7 +204,7 @@ def test_a_dial_at_the_tool_points_about_along_its_direction() -> None:
         found = og.identify([given], MACHINE)
         said = [w for w in found.warnings if w.kind == "askew"]
         assert len(said) == (angle == 0.08)
-        assert all(re.search(r"points 4\.\d degrees beside z \(along 0\.0[78]", w) for w in said)
+        assert all(re.search(r"direction 4\.\d degrees from z \(along 0\.0[78]", w) for w in said)
         for name in found.names:
             low, high = found.interval(name)
             assert low <= SHIFTED.values.get(name, 0.0) <= high
@@ -355,7 +355,7 @@ def test_a_ball_below_the_plane_of_a_circle() -> None:
     errors = [(found.values[n] - v) / found.sigmas[n] for n, v in wrong.values.items()]
     assert np.abs(errors).max() < 3
     (said,) = (w for w in found.warnings if w.kind == "mirrored")
-    far = re.search(r"the ball (\d+) mm beside it", said)
+    far = re.search(r"in one plane, (\d+) mm from the ball", said)
     assert far is not None
     assert float(far[1]) == pytest.approx(-ball[2] * 1e3, rel=0.05)
     assert studied([read]).word == "adequate"

@@ -53,19 +53,20 @@ def read_states(
         before, after = (replace(request, machine=given) for request in (before, after))
     if before.machine.geometry != after.machine.geometry:
         raise InputError(
-            f"both states are of machines of different dimensions ({before.machine.spec.title}; "
-            f"{after.machine.spec.title}): check compares two states of one; where the file was "
-            f"corrected since, but no number that the controller uses, give it for both with "
-            f"--machine (machine=); if the controller uses other numbers now, run close-loop on "
-            f"the new readings"
+            f"the two states have different dimensions ({before.machine.spec.title}; "
+            f"{after.machine.spec.title}), and check compares one machine with itself. If only the "
+            f"description was corrected, give the corrected file for both with --machine "
+            f"(machine=); if the controller uses new numbers, run close-loop on the new readings"
         )
     machine = _before_calibration(before.machine)
     return replace(before, machine=machine), replace(after, machine=machine)
 
 
 def _before_calibration(machine: Machine) -> Machine:
-    """Return a machine without what an earlier run found: a fit of all readings would count the old
-    ones twice, and each state shows a located error by itself, as a curve with one size.
+    """Return the machine without the parameters, posterior and located errors of an earlier run.
+
+    Otherwise the old readings would count twice, as prior and as data, and a located error would be
+    compared by its coefficients in place of its size.
     """
     spec = machine.spec
     if "verdict" not in spec.provenance:
@@ -123,7 +124,8 @@ def with_distinct_names(
         return replace(one, setups=tuple(replace(s, name=name) for s, name in setups))
 
     before = [renamed(one) for one in old]
-    # A visit begins with a setup that occurs again, so files with common setups come first.
+    # Tables are assigned to visits by the first setup that recurs, so tables with common setups
+    # come first.
     common = {s.name for one in before if one.of_tool for s in one.setups}
     after = sorted(new, key=lambda c: not (c.of_tool and any(s.name in common for s in c.setups)))
     names = [c.name for c in (*before, *after)]

@@ -131,7 +131,7 @@ class Catalogue(Mapping[str, Effect]):
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All parameters of the machine itself (not of the dials), in catalogue order."""
+        """All parameters of the machine itself (not of instruments), in catalogue order."""
         return tuple(self.motions)
 
     @cached_property
@@ -216,11 +216,11 @@ class Catalogue(Mapping[str, Effect]):
         return {parameter: 1.0}
 
     def machine_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Parameters by name without those of dials and plates."""
+        """Return the parameters by name without those of instruments (dials, plates, parts)."""
         return {name: v for name, v in values.items() if not self.effect_of(name).of_dial}
 
     def elementary_machine_values(self, values: Mapping[str, float]) -> dict[Parameter, float]:
-        """Return the elementary parameters of the machine, without those of dials.
+        """Return the elementary parameters of the machine, without those of instruments.
 
         Of parameters specific to campaigns the last one counts: the machine as it is now.
         """

@@ -5,7 +5,8 @@
 A basis is a plain function of a :class:`LegConditions`; it works on numbers, arrays and CasADi
 symbols alike (:func:`sin` and :func:`cos` do too). Effects of the *drive* move the joint ``travel``
 and may look at the command; all others may look at the carriage's true travel too, the drive's
-errors included. An effect of a dial changes the reading instead, see :class:`DialReading`.
+errors included. An effect of an instrument (dial, plate, printed part) moves no joint and changes
+the reading.
 """
 
 from __future__ import annotations
@@ -44,8 +45,9 @@ class LegConditions:
     travel: Any = None  # the carriage's true travel from mechanical zero, metres
     zero: float = 0.0  # the command at mechanical zero, metres
     commands: tuple[Any, ...] = ()  # of all drives, metres
-    # lost motion that builds up over several lengths after a reversal of the drive, each half the
-    # approach after a long distance; empty where the path is unknown
+    # lost motion as a fraction of the backlash, one entry for each characteristic length (Dahl
+    # model): it approaches half of `approach` exponentially after a reversal. It is computed for
+    # dials on the legs only, and empty otherwise
     built_up: tuple[Any, ...] = ()
 
     @property
@@ -194,7 +196,8 @@ Shape = Callable[[Any, Any], Any]
 
 ControllerEntry = Literal["zero", "scale", "backlash", "bar_length", "place"]
 DRIVE_ENTRIES: tuple[ControllerEntry, ...] = ("zero", "scale", "backlash", "bar_length")
-"""Numbers that a controller of three drives has; only firmware has the places of towers."""
+"""Numbers that a controller of three drives stores. Tower positions are not among them: only
+printer firmware stores those."""
 
 
 @public
@@ -219,8 +222,8 @@ class Effect:
         paired: whether the parameters of a leg or setup are one cause, as a sine and its cosine.
         lobes: number of high sides around the plate, of an effect of a plate with a cosine and a
             sine of that many times the angle.
-        instead_of: a condition that explains it better: the effect is a candidate only where
-            that condition was not recorded.
+        instead_of: the condition that this effect stands in for: it is a candidate only where that
+            condition was not recorded.
         controller: which number of a controller corrects it, if any.
         urdf: whether a rigid URDF can represent it.
         dial: of an effect of the dial: the reading shown, given the reading so far and the value.
@@ -271,7 +274,9 @@ class Effect:
 
     @property
     def of_dial(self) -> bool:
-        """Whether it belongs to a dial, a plate or a part and not to the machine."""
+        """Whether it changes the reading of an instrument (dial, plate, printed part) and does not
+        move the machine.
+        """
         return self.dial is not None or bool(self.plate) or self.part is not None
 
     @property
@@ -327,7 +332,7 @@ class Effect:
         return motions_by_name
 
     def parameters(self, setups: tuple[str, ...] = ()) -> tuple[Parameter, ...]:
-        """Its parameters; those of a dial for each of the setups."""
+        """Its parameters; those of an instrument for each of the setups."""
         if self.of_dial:
             return tuple(
                 Parameter(self.name, setup=setup, direction=part)

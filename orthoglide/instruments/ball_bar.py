@@ -66,7 +66,9 @@ class BallBar(Observation):
         return np.hstack([mounted.beside, centres])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the prior of the ball's centre; the bar's length has none."""
+        """Return the prior standard deviations of the ball's centre and, infinite, of the bar's
+        length.
+        """
         return np.array([BALL_CENTRE_SD, BALL_CENTRE_SD, BALL_CENTRE_SD, np.inf])
 
     def estimate_pose(
@@ -90,10 +92,10 @@ class BallBar(Observation):
         height = float(abs((pose.ball_centre - p.mean(axis=0)) @ normal))
         if height > _MIN_PLANE_DISTANCE * size:
             yield (
-                f"its places lie in one plane, and the ball {compact(height * 1e3, 2)} mm beside "
-                f"it: no reading shows on which side, and below is assumed; if it is above, errors "
-                f"of the machine across that plane have the opposite sign; read places out of it "
-                f"as well",
+                f"its points lie in one plane, {compact(height * 1e3, 2)} mm from the ball, and "
+                f"the readings do not show on which side the ball is: below is assumed. If it is "
+                f"above, errors of the machine across that plane have the opposite sign; measure "
+                f"points off the plane too",
                 "mirrored",
             )
 

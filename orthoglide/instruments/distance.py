@@ -77,7 +77,7 @@ class Distance(Observation):
         return np.column_stack([mounted.beside, mounted.by_reading(shrinkage)])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the priors of the scale and the offset."""
+        """Return the prior standard deviations of the scale and the offset."""
         return np.array([SHRINKAGE_BY_MATERIAL[setup.material][1], DISTANCE_OFFSET_SD])
 
     def find_unit_or_frame_error(

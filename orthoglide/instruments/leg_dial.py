@@ -121,7 +121,9 @@ class LegDial(Observation):
         return np.column_stack([_dial_mountings(mounted), time])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the prior sds of the datum, infinite, and of the place along the leg, metres."""
+        """Return the prior standard deviations of the datum, infinite, and of the dial's place
+        along the leg, metres.
+        """
         return np.array([np.inf, priors.dial_placement_sd])
 
 
@@ -168,5 +170,5 @@ class Parallelism(LegDial):
         return np.column_stack([_dial_mountings(mounted), second])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the prior of the surface's slope, radians."""
+        """Return the prior standard deviation of the surface's slope, radians."""
         return np.array([priors.surface_slope_sd])

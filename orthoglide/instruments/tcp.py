@@ -85,12 +85,14 @@ class Coordinate(Observation):
         return np.hstack([mounted.beside, directions, mounted.signed_axes])
 
     def nuisance_sds(self, setup: Setup, axis: Ints, priors: InstrumentPriors) -> Array:
-        """Return the priors of three datums and of three rotations of the frame."""
+        """Return the prior standard deviations of three datums and of the frame's rotation."""
         datum_sd = 0.0 if priors.tracker_frame == "none" else np.inf
         return np.repeat([datum_sd, self._rotation_sd(axis, priors)], 3)
 
     def _rotation_sd(self, axis: Ints, priors: InstrumentPriors) -> float:
-        """Return the prior of the frame's rotation; infinite if two axes or more are read."""
+        """Return the prior standard deviation of the frame's rotation, radians; infinite if two
+        axes or more are read.
+        """
         if priors.tracker_frame != "rigid":
             return 0.0
         return HELD_DIRECTION_SD if len(np.unique(axis)) < 2 else np.inf
@@ -108,7 +110,9 @@ class Coordinate(Observation):
     def apply_pose_nuisances(
         self, pose: InstrumentPose, nuisance: Array
     ) -> tuple[InstrumentPose, Array]:
-        """Return the frame after its small rotation, which the formula has to first order only."""
+        """Return the pose with its small rotation applied exactly, and the nuisances with that
+        rotation set to zero; the formula contains it to first order only.
+        """
         from scipy.spatial.transform import Rotation
 
         rotation = pose.rotation @ Rotation.from_rotvec(nuisance[3:]).as_matrix()
@@ -124,18 +128,19 @@ class Coordinate(Observation):
         angle = float(np.arccos(np.clip(direction[axis[0]], -1.0, 1.0)))
         if angle > _MISALIGNED_SIGMAS * HELD_DIRECTION_SD:
             yield (
-                f"by its readings it points {np.rad2deg(angle):.1f} degrees beside "
-                f"{LEGS[axis[0]]} (along {', '.join(plain(v, 3) for v in direction)}), and is "
-                f"taken so: look how it is held, and whether the direction in the file is right",
+                f"its readings fit a direction {np.rad2deg(angle):.1f} degrees from "
+                f"{LEGS[axis[0]]} (along {', '.join(plain(v, 3) for v in direction)}), and this "
+                f"direction is used. Check how the dial is held and the direction in the file",
                 "askew",
             )
 
     def find_unit_or_frame_error(
         self, readings: SetupReadings, distance: Array, priors: InstrumentPriors
     ) -> str:
-        """Return a sentence on the frame or unit that the coordinates seem to have by mistake.
+        """Return a message on the frame or unit in which the coordinates seem to be given by
+        mistake; empty if they are plausible.
 
-        A rotation is no mistake where it has no prior, as it is estimated later.
+        A rotation without a prior is no mistake, because it is estimated later.
         """
         p, axis, value = readings.p, readings.axis, readings.value
         sd = self._rotation_sd(axis, priors)
@@ -150,7 +155,8 @@ class Coordinate(Observation):
             if _residual_rms(frame, p, axis, value)[0] < limit:
                 return ""
         candidates = np.stack([_residual_rms(frame, p, axis, value) for frame in _FRAMES])
-        # For points in one plane a mirrored frame fits as well as a rotated one: that is preferred.
+        # For points in one plane a mirrored frame fits as well as a rotated one: the rotated one is
+        # preferred.
         penalty = np.where(_MIRRORED, 1 / MAX_RESIDUAL_RATIO, 1.0)
         best, unit = np.unravel_index(
             index_of_smallest(candidates * penalty[:, None]), candidates.shape
@@ -160,14 +166,14 @@ class Coordinate(Observation):
             return ""
         if np.allclose(frame, np.eye(3)):
             return unit_error(rms)
-        handedness = "left-handed" if np.linalg.det(frame) < 0 else "turned"
+        handedness = " (a left-handed frame)" if _MIRRORED[best] else ""
         factor = float(FACTORS[unit])
         unit_clause = "" if factor == 1 else f", and they are {UNIT_MISTAKES[factor]}"
         return (
-            f"the coordinates are {compact(rms[0] * 1e3, 2)} mm rms off where this machine can be: "
-            f"the frame of the instrument is {handedness}, its x, y, z being "
-            f"{', '.join(map(_axis_label, frame))} of the machine{unit_clause}; "
-            f"give the coordinates along the machine's axes"
+            f"the coordinates differ by {compact(rms[0] * 1e3, 2)} mm rms from those that this "
+            f"machine can give. They fit if the instrument's x, y, z are the machine's "
+            f"{', '.join(map(_axis_label, frame))}{handedness}{unit_clause}: give them along the "
+            f"machine's axes"
         )
 
 

@@ -45,7 +45,7 @@ def unit_error(misfit: Array, finding: str = "") -> str:
     if misfit[0] < MIN_MISFIT or misfit[best] > MAX_RESIDUAL_RATIO * misfit[0]:
         return ""
     factor, size = float(FACTORS[best]), compact(misfit[0] * 1e3, 2)
-    finding = finding or f"are {size} mm rms off what this machine can give, and fit"
+    finding = finding or f"differ by {size} mm rms from those that this machine can give, and fit"
     return (
         f"the readings {finding} once they are multiplied by {factor:.4g}, so they seem to be "
         f"{UNIT_MISTAKES[factor]}: give millimetres"

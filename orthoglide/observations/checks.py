@@ -1,7 +1,6 @@
-"""Checks of a campaign before any fit.
+"""Checks of readings before any fit.
 
-Each check takes the campaign (or its commands), the machine and ``fail(message, row)``, which
-raises. Remarks that are no errors are returned as warnings.
+A check calls ``fail(message, row)``, which raises; a ``_note_*`` function yields warnings.
 """
 
 from __future__ import annotations
@@ -30,53 +29,6 @@ from orthoglide.observations.schema import (
 )
 from orthoglide.units import NOISE_LIMITS
 
-# Rounding and touching make a still dial vary by up to two steps.
-_STILL_DIAL_STEPS = 2 - 1e-6
-_ZERO_READING = 1e-8  # metres: smaller readings are zeros of a simulated perfect machine
-
-
-def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
-    read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
-    if not read.any():
-        return
-    spans = [
-        np.ptp(campaign.reading[read & (campaign.setup == index)])
-        for index in np.unique(campaign.setup[read])
-    ]
-    if max(spans) < max(_STILL_DIAL_STEPS * machine.dial.resolution, _ZERO_READING):
-        yield Note(
-            f"no setup's readings move by more than {max(spans) * 1e3:.3g} mm: is the dial "
-            "touching the leg? Unless the machine is as good as that, such readings say nothing",
-            "reading",
-        )
-
-
-def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
-    consequences = {
-        TIME: "these count as taken at the start",
-        TEMPERATURE: "these count as no warmer than the first",
-        SIGMAS["mm"]: "these take the dial's",
-    }
-    for column, consequence in consequences.items():
-        absent = np.isnan(getattr(campaign, column.attribute))
-        if absent.any() and not absent.all():
-            text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
-            yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
-
-
-def _note_late_clock(campaign: Readings) -> Iterator[Note]:
-    """Note a clock that starts later than the session is long: bars that warm from its zero would
-    have grown before the first reading.
-    """
-    time = campaign.time[np.isfinite(campaign.time)]
-    if len(time) and time.min() > np.ptp(time):
-        yield Note(
-            f"{TIME.name} starts at {time.min():.6g} s: give seconds since the start of the "
-            f"session, not a time of day, as effects that grow with time count from 0",
-            TIME.name,
-        )
-
-
 Fail = Callable[[str, int | None], NoReturn]
 """Raises the error for a row, counted from 0."""
 
@@ -94,10 +46,37 @@ that is less."""
 DIAL_RANGE = 20e-3
 """Upper limit of the range of a dial, without the motion of the command, metres."""
 
+_STILL_DIAL_STEPS = 2 - 1e-6  # rounding and touching make a still dial vary by up to two steps
+_ZERO_READING = 1e-8  # metres: smaller readings are zeros of a simulated perfect machine
+
+
+def check_given(readings: Readings, machine: MachineFile) -> None:
+    """Refuse readings that would be refused in a file.
+
+    Raises:
+        InputError: naming the row, counted from 0, and what would be right.
+    """
+
+    def fail(message: str, row: int | None = None) -> NoReturn:
+        at_row = "" if row is None else f", row {row} (counted from 0)"
+        raise InputError(f"{readings.name}{at_row}: {message} (arrays are in metres and radians)")
+
+    expected = "a campaign, which og.Campaign.from_frame makes of a data frame, or a file's path"
+    check_type("the readings", readings, Readings, expected)
+    if not len(readings):
+        fail("has no readings: give some")
+    check_commands(readings.command, False, machine, fail)
+    check_filled(readings, fail)
+    if readings.by_point:
+        points = readings.points()
+        check_points(points.command, points.p, fail)
+    check_readings(readings, machine, fail)
+
 
 def check_commands(values: Array, are_travel: bool, machine: MachineFile, fail: Fail) -> Array:
-    """Return the joint coordinates of commands ``(n, 3)``, metres, that are such coordinates or the
-    controller's values; refuse those off the stroke.
+    """Return commands ``(n, 3)``, metres, as joint coordinates; refuse those outside the stroke.
+
+    ``are_travel`` says that they are the controller's values, which are converted.
     """
     geometry, controller = machine.geometry, machine.controller
 
@@ -222,6 +201,14 @@ def check_readings(readings: Readings, machine: MachineFile, fail: Fail) -> tupl
     return tuple(warnings)
 
 
+def max_dial_span(campaign: Readings, index: int) -> float:
+    """Return the largest span of a setup's readings: the dial's range and the motion of the
+    command, metres.
+    """
+    motion = campaign.command[campaign.setup == index, campaign.setups[index].axis]
+    return DIAL_RANGE + float(np.ptp(motion))
+
+
 def _check_noise(readings: Readings, fail: Fail) -> None:
     max_sigma = np.where(readings.angular, MAX_ROTATION_SD, NOISE_LIMITS[1])
     wrong = np.isfinite(readings.sigma) & (
@@ -259,6 +246,26 @@ def _check_bars(readings: Readings, fail: Fail) -> None:
     if negative.any() and not negative.all() and length.min() > length.max() / 2:
         wrong = negative if negative.mean() < 0.5 else ~negative
         fail("this length has another sign than the others: correct it", int(bars[wrong][0]))
+
+
+def _check_duplicates(readings: Readings, fail: Fail) -> None:
+    """Refuse two readings of one visit. Column order numbers the visits of instruments at the tool,
+    column repeat those of dials on a leg.
+    """
+    first_rows = dict[Hashable, int]()
+    order = np.where(readings.on_legs, 0, readings.order)
+    visits = np.column_stack([np.round(readings.stations, 9), readings.repeat, order])
+    for row, visit in enumerate(map(tuple, visits.tolist())):
+        first = first_rows.setdefault(visit, row)
+        if first != row:
+            reason, remedy = "approach", "count it up in column repeat"
+            if not readings.on_legs[row]:
+                reason, remedy = "order", "number the visits in column order"
+            fail(
+                f"the reading of line {readings.line[first]} stands here again (same setup, "
+                f"command, {reason} and repeat): remove one, or {remedy}",
+                row,
+            )
 
 
 def _check_motion(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
@@ -307,26 +314,6 @@ def _check_postures(campaign: Readings, machine: MachineFile, fail: Fail) -> Non
             )
 
 
-def _check_duplicates(readings: Readings, fail: Fail) -> None:
-    """Refuse two readings of one visit. Column order numbers the visits of instruments at the tool,
-    column repeat those of dials on a leg.
-    """
-    first_rows = dict[Hashable, int]()
-    order = np.where(readings.on_legs, 0, readings.order)
-    visits = np.column_stack([np.round(readings.stations, 9), readings.repeat, order])
-    for row, visit in enumerate(map(tuple, visits.tolist())):
-        first = first_rows.setdefault(visit, row)
-        if first != row:
-            reason, remedy = "approach", "count it up in column repeat"
-            if not readings.on_legs[row]:
-                reason, remedy = "order", "number the visits in column order"
-            fail(
-                f"the reading of line {readings.line[first]} stands here again (same setup, "
-                f"command, {reason} and repeat): remove one, or {remedy}",
-                row,
-            )
-
-
 def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     rows = np.lexsort((campaign.time, campaign.order))
     rows = rows[np.isfinite(campaign.time[rows])]
@@ -334,18 +321,11 @@ def _check_clock(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
     if len(decreases):
         before, row = rows[decreases[0] : decreases[0] + 2].tolist()
         fail(
-            f"time_s runs back from line {campaign.line[before]} to here: count on from the start "
-            "of the campaign, and number the rows in column order if they are sorted otherwise",
+            f"time_s decreases from line {campaign.line[before]} to here: give seconds since the "
+            "start of the campaign; if the rows are not in the order measured, number them in "
+            "column order",
             row,
         )
-
-
-def max_dial_span(campaign: Readings, index: int) -> float:
-    """Return the largest span of a setup's readings: the dial's range and the motion of the
-    command, metres.
-    """
-    motion = campaign.command[campaign.setup == index, campaign.setups[index].axis]
-    return DIAL_RANGE + float(np.ptp(motion))
 
 
 def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
@@ -363,13 +343,13 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
         reading = campaign.reading[rows]
         datum = [] if setup.observation.from_datum else [0.0]  # else readings are absolute
         values = np.concatenate([reading, datum])
-        if np.ptp(values) > max_dial_span(campaign, index):
+        if (span := np.ptp(values)) > (limit := max_dial_span(campaign, index)):
             row = rows[np.argmax(np.abs(reading - np.median(values)))]
             fail(
-                f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)} in setup "
-                f"{setup.name!r}, whose readings span {np.ptp(values) * 1e3:.4g} mm"
-                f"{' from 0' if datum else ''}, more "
-                "than its leg can move: correct a slip, or give millimetres",
+                f"reading_mm is {compact(campaign.reading[row] * 1e3, 6)}, and the readings of "
+                f"setup {setup.name!r} span {span * 1e3:.4g} mm{' from 0' if datum else ''}; a "
+                f"dial there can show at most {limit * 1e3:.4g} mm (its range and the motion of "
+                f"the command): correct this reading, or give millimetres",
                 int(row),
             )
 
@@ -377,24 +357,43 @@ def _check_dial(campaign: Readings, machine: MachineFile, fail: Fail) -> None:
 _CHECKS = (_check_motion, _check_gauges, _check_postures, _check_clock, _check_dial)
 
 
-def check_given(readings: Readings, machine: MachineFile) -> None:
-    """Refuse readings that would be refused in a file.
+def _note_still_dial(campaign: Readings, machine: MachineFile) -> Iterator[Note]:
+    read = np.isfinite(campaign.reading) & campaign.which(lambda s: s.observation.from_datum)
+    if not read.any():
+        return
+    spans = [
+        np.ptp(campaign.reading[read & (campaign.setup == index)])
+        for index in np.unique(campaign.setup[read])
+    ]
+    if max(spans) < max(_STILL_DIAL_STEPS * machine.dial.resolution, _ZERO_READING):
+        yield Note(
+            f"no setup's readings vary by more than {max(spans) * 1e3:.3g} mm: check that the dial "
+            "touches the leg. If the dial does not touch, these readings contain no information",
+            "reading",
+        )
 
-    Raises:
-        InputError: naming the row, counted from 0, and what would be right.
+
+def _note_partly_recorded(campaign: Readings) -> Iterator[Note]:
+    consequences = {
+        TIME: "rows without one count as taken at the start",
+        TEMPERATURE: "rows without one count as no warmer than the first row",
+        SIGMAS["mm"]: "rows without one get the noise of the dial",
+    }
+    for column, consequence in consequences.items():
+        absent = np.isnan(getattr(campaign, column.attribute))
+        if absent.any() and not absent.all():
+            text = f"{column.name} is empty in {absent.sum()} of {len(absent)} rows: {consequence}"
+            yield Note(text, column.name, tuple(campaign.line[absent].tolist()))
+
+
+def _note_late_clock(campaign: Readings) -> Iterator[Note]:
+    """Note a clock that starts later than the session is long: bars that warm from its zero would
+    have grown before the first reading.
     """
-
-    def fail(message: str, row: int | None = None) -> NoReturn:
-        at_row = "" if row is None else f", row {row} (counted from 0)"
-        raise InputError(f"{readings.name}{at_row}: {message} (arrays are in metres and radians)")
-
-    expected = "a campaign, which og.Campaign.from_frame makes of a data frame, or a file's path"
-    check_type("the readings", readings, Readings, expected)
-    if not len(readings):
-        fail("has no readings: give some")
-    check_commands(readings.command, False, machine, fail)
-    check_filled(readings, fail)
-    if readings.by_point:
-        points = readings.points()
-        check_points(points.command, points.p, fail)
-    check_readings(readings, machine, fail)
+    time = campaign.time[np.isfinite(campaign.time)]
+    if len(time) and time.min() > np.ptp(time):
+        yield Note(
+            f"{TIME.name} starts at {time.min():.6g} s: give seconds since the start of the "
+            f"session, not a time of day, as effects that grow with time count from 0",
+            TIME.name,
+        )

@@ -1,4 +1,4 @@
-"""Readings linearised in the parameters asked for, and the choice of those of the largest gain.
+"""Linearised readings, and the choice of those with the largest gain.
 
 A reading is ``j x + datum + slope * placement + rounding + noise``: ``j`` is its derivative by the
 unknowns ``x``, ``slope`` its derivative by the dial's place along the leg. All readings of a
@@ -369,8 +369,8 @@ def choose(
     """
     if not isinstance(count, Real) or not 2 <= count <= _MAX_READINGS or count % 1:
         raise InputError(
-            f"{count} readings cannot be chosen: give a whole number from 2 to {_MAX_READINGS}. A "
-            f"single reading only determines the datum of its setup"
+            f"{count!r} readings cannot be chosen: give a whole number from 2 to {_MAX_READINGS}. "
+            f"A single reading only determines the datum of its setup"
         )
     taken, criterion = list[int](), start
     while len(taken) < count and not (taken and criterion.reached):

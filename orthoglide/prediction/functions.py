@@ -130,7 +130,7 @@ class Displacements:
 
     def parameter_vector(self, values: Values) -> Array:
         """Return all parameters of the machine ``(P,)``, SI, zero where not named, without those of
-        dials.
+        instruments.
 
         Raises:
             InputError: for a name that is no parameter.

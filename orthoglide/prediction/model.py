@@ -1,4 +1,4 @@
-"""Conditions and parameters -> poses with sensitivities to all parameters; pulls under a load."""
+"""Conditions and parameters -> poses with sensitivities to all parameters; tensions of bars."""
 
 from __future__ import annotations
 
@@ -109,10 +109,14 @@ class Model:
                 return loaded
         worst, count = int(np.argmax(change)), len(displacements)
         which = f"posture {worst + 1} of {count}: " if count > 1 else ""
-        raise ClosureError(f"{which}the bars find no equilibrium under the load", index=(worst,))
+        raise ClosureError(
+            f"{which}the bars find no equilibrium under this load; check the load and the "
+            f"stiffness of the bars",
+            index=(worst,),
+        )
 
     def tensions(self, values: Mapping[str, float], conditions: Conditions) -> Array:
-        """Return the pull in the bars ``(n, leg, bar)`` under the load, newtons."""
+        """Return the tensions of the bars ``(n, leg, bar)`` under the load, newtons."""
         displacements = self.loaded_displacements(values, conditions)
         _, tangent = self.engine.tangent(self._travel(conditions), displacements)
         return joint_forces(tangent, conditions.load)[:, BARS].reshape(-1, 3, 2)
@@ -196,9 +200,12 @@ class Model:
         """Return the derivative of the load's forces on the drives by the command ``(n, 3, 3)``,
         newtons a metre.
 
-        The bars ``b_i`` keep their length: ``b_i . dp/drho_j = b_i . s_i`` for j = i, else 0, along
-        the slides ``s_i``. Once more by rho_k: ``b_i . d2p/drho_j drho_k = -d_ij . d_ik``, where
-        ``d_ij = db_i/drho_j``.
+        Without errors the two bars of a leg are parallel, so one, ``b_i``, is enough. Its constant
+        length gives ``b_i . dp/drho_j = b_i . s_i`` if j = i, else 0, with the direction ``s_i`` of
+        the slide. Differentiated by rho_k, with ``d_ij = db_i/drho_j``:
+        ``b_i . d2p/(drho_j drho_k) = -d_ij . d_ik``. The force on drive j is ``-load dp_z/drho_j``,
+        so its derivative is ``load * sum_i up_i (d_ij . d_ik)``, where ``up`` is the row of
+        ``B^-1`` for z and ``B`` has the rows ``b_i``.
         """
         outputs, tangent = self._without_errors(conditions)
         bars = outputs.lines[:, :, 0, 1] - outputs.lines[:, :, 0, 0]
@@ -224,7 +231,7 @@ class Model:
         self, values: Mapping[str, float], conditions: Conditions, names: Sequence[str]
     ) -> tuple[Outputs, Array]:
         """Return poses and bars, and their derivative ``(n, 48, P)`` by parameters, loops closed;
-        zero by parameters of dials.
+        zero by parameters of instruments.
         """
         columns = [k for k, name in enumerate(names) if not self.catalogue.effect_of(name).of_dial]
         machine_parameters = [names[k] for k in columns]
@@ -270,17 +277,18 @@ def joint_forces(tangent: Array, load: Array) -> Array:
     33)``, N and N m.
 
     By virtual work it is the load times the distance by which the TCP sinks for a unit of travel or
-    displacement: ``tangent`` ``(n, 48, 33)``. On a bar's stretch it is the pull in the bar.
+    displacement: ``tangent`` ``(n, 48, 33)``. On a bar's stretch it is the tension of the bar.
     """
     return np.asarray(-load[:, None] * tangent[:, 2])
 
 
 def tensions_tangent(outputs: Outputs, tangent: Array, tension: Array) -> Array:
-    """Return the derivative of the pull in the six bars ``(n, 6, k)``, from that of the outputs
+    """Return the derivative of the tensions of the six bars ``(n, 6, k)``, from that of the outputs
     ``(n, 48, k)``.
 
-    Six bars are statically determinate: ``sum_k t_k u_k = (0, 0, -load)`` and, about the TCP,
-    ``sum_k t_k (arm_k x u_k) = 0``.
+    Equilibrium determines the tensions ``t_b``: ``sum_b t_b u_b = (0, 0, -load)`` and
+    ``sum_b t_b (a_b x u_b) = 0``, with ``u_b`` the unit vector of bar b toward the platform and
+    ``a_b`` the arm of its end about the TCP.
     """
     n, k = len(tension), tangent.shape[2]
     start, end = np.moveaxis(outputs.lines.reshape(n, 6, 2, 3), 2, 0)
