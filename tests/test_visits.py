@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from benchmarks import public
+from benchmarks import public, second_visit
 from orthoglide.checking import Check, check
 from orthoglide.checking.comparing import verdict_with_changes
 from orthoglide.checking.pages import check_files
@@ -186,6 +186,15 @@ def test_a_calibrated_machine_is_compared_as_the_one_before() -> None:
     for state in read_states(readings, readings, calibrated):
         assert (state.machine.values, state.machine.posterior.names) == ({}, ())
         assert state.machine.catalogue == MACHINE.catalogue
+
+
+@pytest.mark.thorough
+def test_a_fit_with_a_large_residual_converges() -> None:
+    """Five parameters changed by several tolerances: Gauss-Newton's steps alone go to and fro."""
+    found = second_visit.run((5, "two-gauges", 11), 7003)
+    assert found["word"] != "error"
+    for route in second_visit.ROUTES:
+        assert {name for one in found[route] for name in one["right"]} >= {"axis_tilt.x.y"}
 
 
 SWEEP = rc.protocol_rows("sweep")

@@ -1,10 +1,11 @@
-"""Gauss-Newton steps on the unknowns; the model predicts the readings at each step."""
+"""Gauss-Newton and Newton steps on the unknowns; the model predicts the readings at each step."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orthoglide.errors import NumericsError, SolverError, UnreachableError
 from orthoglide.fit.least_squares import (
@@ -21,9 +22,11 @@ _MAX_STEPS = 60
 # The fit has converged if no unknown moves by more than this many of its conditional standard
 # deviations: the printed digits must not depend on the start.
 _STEP_TOLERANCE = 1e-10
-_FLAT_SLOPE = 1e-7  # gradient, in the same unit, of a cost that is flat up to rounding
+# Steps, and gradients in the same unit, below which Newton's Hessian is not worth its time.
+_NEWTON_THRESHOLD = 1e-7
 _ROUNDING_STEP = 1e-4  # a smaller step, times the rms residual, that no longer halves is rounding
 _COST_TOLERANCE = 1e-9  # a smaller relative fall of the cost is rounding
+_SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
 
 
 def solve_nested(
@@ -34,6 +37,9 @@ def solve_nested(
     The problem's model (six bars, Pinocchio or the reduction) predicts the readings with their
     derivatives at every step, so the closed postures are no unknowns of the fit: time and memory
     grow linearly with the number of postures.
+
+    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
+    along weak directions the curvature of the model outweighs the readings.
 
     Raises:
         SolverError: where the steps do not converge.
@@ -50,8 +56,11 @@ def solve_nested(
         information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
         step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
+        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
+            step[free] = _newton_step(problem, nuisance, equations, free, scale)
+            size = float(np.max(np.abs(step[free]) / scale))
         rms = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
-        flat = slope <= _FLAT_SLOPE and equations.cost > cost * (1 - _COST_TOLERANCE)
+        flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
         stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * rms)
         if size <= _STEP_TOLERANCE or stalled:
             return linear, iteration
@@ -62,6 +71,28 @@ def solve_nested(
         f"fewer parameters, or keep the priors",
         evidence={"last_step_in_sigmas": size},
     )
+
+
+def _newton_step(
+    problem: Problem, nuisance: Nuisances, equations: NormalEquations, free: NDArray[np.intp],
+    scale: Array,
+) -> Array:  # fmt: skip
+    """Return a Newton step of the ``free`` unknowns, its Hessian from differenced gradients."""
+    hessian = np.empty((len(free), len(free)))
+    for column, k in enumerate(free):
+        # Small against the curvature of the machine, large against rounding.
+        width = max(1e-2 * scale[column], 1e-4 * problem.tolerance[k])
+        ends = []
+        for side in (1, -1):
+            x = equations.x.copy()
+            x[k] += side * width
+            ends.append(normal_equations(problem, linearise(problem, x), nuisance).gradient[free])
+        hessian[:, column] = (ends[0] - ends[1]) / (2 * width)
+    hessian = (hessian + hessian.T) / 2 * scale * scale[:, None]
+    values, vectors = np.linalg.eigh(hessian)
+    # Absolute value and floor keep the step a descent where the cost is not convex.
+    rotated = vectors.T @ (-equations.gradient[free] * scale)
+    return scale * (vectors @ (rotated / np.maximum(np.abs(values), 1e-8)))
 
 
 def _line_search(
