@@ -16,7 +16,7 @@ _STAGES: Mapping[Stage, tuple[str, int]] = {
     "identifying": ("identifying", 8),
     "faults": ("looking for faults of the data", 20),
     "searching": ("searching for causes", 30),
-    "comparing": ("comparing with", 50),
+    "comparing": ("comparing", 50),
     "testing": ("testing the residual", 62),
     "verifying": ("closing every posture once more with Pinocchio", 64),
     "judging": ("judging", 66),

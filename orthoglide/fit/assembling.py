@@ -163,8 +163,11 @@ def readings_of(
         InputError: as :func:`read_tables`, and for files with a row a point.
     """
     tables = read_tables(given, machine)
-    if any(table.by_point for table in tables):
-        raise InputError("TCP points are no campaign of readings: give them as tcp")
+    if points := [table.name for table in tables if table.by_point]:
+        raise InputError(
+            f"{points[0]} has TCP points, which are no campaign of readings: give them to a closed "
+            f"loop, with --tcp (tcp=)"
+        )
     return tuple(tables)
 
 
