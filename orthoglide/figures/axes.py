@@ -282,12 +282,13 @@ class Panel:
     axes: list[Axes] = field(default_factory=list)
 
     def add_axes(
-        self, x: Limits, y: Limits, left: float = 40.0, top: float = 22.0, bottom: float = 32.0
-    ) -> Axes:
+        self, x: Limits, y: Limits, left: float = 40.0, top: float = 22.0, right: float = _RIGHT,
+        bottom: float = 32.0,
+    ) -> Axes:  # fmt: skip
         """Return new axes within margins, which contain titles, ticks and labels."""
         box = (
             self.box[0] + left, self.box[1] + top,
-            self.box[2] - left - _RIGHT, self.box[3] - top - bottom,
+            self.box[2] - left - right, self.box[3] - top - bottom,
         )  # fmt: skip
         self.axes.append(Axes(box, x, y))
         return self.axes[-1]
