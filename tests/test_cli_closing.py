@@ -140,7 +140,7 @@ def test_progress_is_shown_when_piped(capsys: pytest.CaptureFixture[str]) -> Non
         time.sleep(1.1)
         show(Step("comparing", "axis_tilt.y.z"))
         show(Step("comparing", "axis_tilt.z.y"))
-    assert capsys.readouterr().err == "   1 s  comparing with axis_tilt.y.z\n"
+    assert capsys.readouterr().err == "   1 s  comparing axis_tilt.y.z\n"
 
 
 # --- rerun ----------------------------------------------------------------------------------

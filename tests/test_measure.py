@@ -167,7 +167,7 @@ EDITED: dict[str, tuple[Lines, str]] = {
     "removed": (lambda lines: [*lines[:4], *lines[5:]],
                 "line 5: has order 4, not 3: put back what was removed, of kind move"),
     "out of reach": (lambda lines: [*lines[:4], lines[4].rpartition(",")[0] + ",450", *lines[5:]],
-                     "line 5: reading_mm is 450 in setup"),
+                     "line 5: reading_mm is 450, and the readings of setup"),
 }  # fmt: skip
 
 
