@@ -15,10 +15,10 @@ from orthoglide.checking.located import (
     gone_and_come,
     located_only_in_first,
     located_words,
-    plate_moves,
     resized,
     with_uncertain_shapes,
 )
+from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import Effect

@@ -108,7 +108,8 @@ def next_measurements(
     names = tuple(dict.fromkeys(name for each in parts for name in each))
     weights, covariance = _parameter_map_and_covariance(fit, names, lack_of_fit)
     pool = _loaded_pool(fit)
-    linearised = MeasurementModel(pool).linearise(machine.model, fit.machine.values, names)
+    of_pool = MeasurementModel(pool)
+    linearised = of_pool.linearise(machine.model, fit.machine.values, names)
     readings = _linear_readings(fit, pool, linearised.jacobian, linearised.reading_poses)
     suggestions = list[Suggestion]()
     pairs = [*combinations(range(len(rivals)), 2)] if pairs is None else pairs
@@ -125,9 +126,7 @@ def next_measurements(
                 name = f'"{cause_short(machine.catalogue, name)}"'
             name_covariance = to_names @ unknown_covariance @ to_names.T
             candidates.append(Rival(name, values, name_covariance))
-        predicted = [
-            MeasurementModel(pool).predict(machine.model, rival.values) for rival in candidates
-        ]
+        predicted = [of_pool.predict(machine.model, rival.values) for rival in candidates]
         extended = replace(readings, columns=np.column_stack([linearised.jacobian, *predicted]))
         suggestions = _suggest_separating(machine, extended, candidates, pairs, count)
     by_unknowns = replace(readings, columns=readings.columns @ weights)
