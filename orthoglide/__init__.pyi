@@ -1,10 +1,5 @@
 """Public names, and the modules in which they are; `orthoglide/__init__.py` reads them here."""
 
-from orthoglide.accuracy import (
-    CubeTransmission as CubeTransmission,
-    transmission_factors as transmission_factors,
-    transmission_over_cube as transmission_over_cube,
-)
 from orthoglide.as_pinocchio import (
     PinocchioModel as PinocchioModel,
     pinocchio_model as pinocchio_model,
@@ -82,6 +77,11 @@ from orthoglide.planning import (
 from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
 from orthoglide.result import Result as Result
 from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp
+from orthoglide.transmission import (
+    CubeTransmission as CubeTransmission,
+    transmission_factors as transmission_factors,
+    transmission_over_cube as transmission_over_cube,
+)
 from orthoglide.units import MM as MM, ONE as ONE, RAD as RAD, Unit as Unit
 from orthoglide.verdict import Verdict as Verdict, close_loop as close_loop
 

@@ -28,7 +28,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"prediction"}),
     frozenset({"viewer"}),
     frozenset({"machine"}),
-    frozenset({"accuracy", "as_pinocchio"}),
+    frozenset({"accuracy", "as_pinocchio", "transmission"}),
     frozenset({"control", "pictures"}),
     frozenset({"result"}),
     frozenset({"figures"}),

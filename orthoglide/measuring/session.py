@@ -29,7 +29,8 @@ from orthoglide.observations.protocols import (
 )
 from orthoglide.observations.writing import Row, command_columns
 from orthoglide.planning import next_sheet
-from orthoglide.planning.sheets import DECISIVE_SIGMAS, dial_scale
+from orthoglide.planning.sheets import dial_scale
+from orthoglide.planning.suggestions import DECISIVE_SIGMAS
 from orthoglide.report.sheet import command_convention, dial_words, mounted_together
 from orthoglide.text import abbreviated, printable_path
 from orthoglide.verdict import Verdict, build_request

@@ -22,12 +22,14 @@ from orthoglide.planning.rivals import (
     suggest_separating_located_errors as suggest_separating_located_errors,
 )
 from orthoglide.planning.sheets import (
-    Suggestion as Suggestion,
-    next_sheet as next_sheet,
     reading_pool as reading_pool,
     sheets_by_kind as sheets_by_kind,
+    tool_sheets as tool_sheets,
+)
+from orthoglide.planning.suggestions import (
+    Suggestion as Suggestion,
+    next_sheet as next_sheet,
     suggest_deciding_visits as suggest_deciding_visits,
     suggest_repeating as suggest_repeating,
     suggest_tracing as suggest_tracing,
-    tool_sheets as tool_sheets,
 )

@@ -24,7 +24,8 @@ from orthoglide.ordering import RELATIVE_MARGIN, ranked
 from orthoglide.parameters import split_campaign
 from orthoglide.planning.linear import RivalSeparation
 from orthoglide.planning.located_alternatives import LocatedAlternatives
-from orthoglide.planning.sheets import Suggestion, instrument_sheet
+from orthoglide.planning.sheets import instrument_sheet
+from orthoglide.planning.suggestions import Suggestion
 from orthoglide.result import Cause, Explanation
 from orthoglide.text import MACHINE_OPTION, listed
 

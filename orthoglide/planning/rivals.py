@@ -29,7 +29,8 @@ from orthoglide.planning.linear import (
     choose,
 )
 from orthoglide.planning.located_alternatives import LocatedAlternatives
-from orthoglide.planning.sheets import DECISIVE_SIGMAS, Suggestion, reading_pool
+from orthoglide.planning.sheets import reading_pool
+from orthoglide.planning.suggestions import DECISIVE_SIGMAS, Suggestion
 from orthoglide.prediction import Conditions, MeasurementModel, ReadingPoses
 from orthoglide.result import Located, WeakDirection
 from orthoglide.text import listed
