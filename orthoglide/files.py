@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from orthoglide.errors import FileError, as_path
+from orthoglide.text import printable_path
 
 TEXT_LIMIT = 2**20
 """Largest file that people write by hand, bytes; such files are parsed key by key."""
@@ -21,10 +22,37 @@ FILE_LIMIT = 128 * 2**20
 _BOM = b"\xef\xbb\xbf"
 
 
+_CONTENT_AND_REMEDY = {
+    "result.json": ("result", "a folder that close-loop, identify or check wrote with --out"),
+    "calibrated.toml": (
+        "calibrated machine", "a machine file, or a folder that close-loop or identify wrote"
+    ),
+    "printer.cfg": ("printer.cfg", "a printer's file by its name, or the folder that has it"),
+}  # fmt: skip
+"""Files that are read of a folder, each with what the folder then holds and what to give else."""
+
+_MOST_FOLDERS = 3  # folders that a message names
+
+
 def result_file(path: str | os.PathLike[str], name: str) -> Path:
-    """Return the file of a result in a given folder; any other path unchanged."""
+    """Return the file of a result in a given folder; any other path unchanged.
+
+    Raises:
+        FileError: for a folder without that file; folders in it that have it are named.
+    """
     location = as_path(path)
-    return location / name if location.is_dir() else location
+    if not location.is_dir():
+        return location
+    try:
+        (location / name).stat()
+    except FileNotFoundError:
+        content, remedy = _CONTENT_AND_REMEDY[name]
+        folders = sorted(str(file.parent) for file in location.glob(f"*/{name}"))
+        remedy = " or ".join(map(printable_path, folders[:_MOST_FOLDERS])) or remedy
+        raise FileError(f"this folder holds no {content}: give {remedy}", file=path) from None
+    except OSError:
+        pass  # reading the file says why
+    return location / name
 
 
 def read_bytes(path: str | os.PathLike[str], max_size: int | None = None) -> bytes:

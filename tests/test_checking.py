@@ -17,15 +17,18 @@ from benchmarks.delta_readings import measured
 from benchmarks.delta_truth import machine as delta
 from orthoglide.checking import Check, check
 from orthoglide.checking.pages import changes_page, changes_text
+from orthoglide.checking.states import with_distinct_names
 from orthoglide.closing import build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.errors import InputError
 from orthoglide.explanation.change import Change
 from orthoglide.firmware.klipper import import_printer
-from orthoglide.observations import Readings
+from orthoglide.fit import readings_of
+from orthoglide.observations import Readings, source
+from orthoglide.observations.tables import copied_files
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
-from tests.klipper_files import DATA
+from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig import Rig
 from tests.rig_delta import DeltaRig
 from tests.test_cli import run
@@ -63,7 +66,8 @@ def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> 
     # Zeros and the readings that prove them are listed, but not where the verdict withholds them.
     assert "these readings prove their signs" in changes_text(found)
     closed = replace(compute_outcome(found.verdict.request), word="unexplained")
-    doubted = changes_text(replace(found, verdict=build_result(closed, og.Verdict)))
+    unexplained = build_result(closed, og.Verdict)
+    doubted = changes_text(replace(found, verdict=unexplained, with_changes=unexplained))
     assert "prove their signs" not in doubted
     assert "once the zeros are corrected" not in doubted
 
@@ -188,3 +192,73 @@ def test_a_difference_beyond_its_sigma_is_never_said_to_be_within_it() -> None:
     )
     assert "needs no change" in beyond
     assert "joint offset of leg z +0.050 ± 0.010 mm" in beyond
+
+
+def test_numbers_that_hide_a_change_are_not_advised_beside_it(tmp_path: Path) -> None:
+    """A check said "nothing else is wrong" of numbers that were fitted to a drive that moves too
+    far, and offered these numbers and the repair of the drive.
+    """
+    states, sound = [], {"joint_offset.a": 2e-4, "axis_offset.b.radial": 1.5e-4}
+    for name, errors in (("old", sound), ("new", sound | {"encoder_scale.a": 0.021})):
+        (tmp_path / name).mkdir()
+        states.append(imported(tmp_path / name, simulated_cfg(DeltaRig(errors=errors))))
+    old, new = states
+    found = check([*old.campaigns], [*new.campaigns], og.Machine(old.machine))
+    assert [str(change.parameter) for change in found.changes] == ["encoder_scale.a"]
+    text = changes_text(found)
+    assert "do not show that the encoder scale of tower a changed" in text
+    assert "enter no number before the change is confirmed and corrected" in text
+    assert "drive a moves 2 % more" in text
+    assert "numbers are off" not in text
+    assert [action.kind for action in found.with_changes.actions] == ["confirm"]
+    assert "lists the numbers" not in text
+    repaired = check([*new.campaigns], [*old.campaigns], og.Machine(old.machine))
+    assert [str(change.parameter) for change in repaired.changes] == ["encoder_scale.a"]
+    assert repaired.with_changes.contradicted == ""
+    assert "Confirm the repair" in changes_text(repaired)
+
+
+def test_no_warning_of_a_covariance_that_is_not_used(
+    visited: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A calibrated machine whose npz was lost is compared as it was before the calibration."""
+    calibrated = og.Machine.load(RIG / "machine.toml").with_parameters(
+        {"joint_offset.x": 1e-3}, {"joint_offset.x": 1e-5}
+    )
+    for name, provenance in (("by-hand", {}), ("calibrated", {"verdict": "adequate"})):
+        calibrated.with_provenance(provenance).save(f"{name}.toml")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise InputError("both states were read")
+
+    monkeypatch.setattr("orthoglide.checking.check", refuse)
+    for name, used in (("by-hand", True), ("calibrated", False)):
+        told = run("check", "old.csv", "new.csv", "--machine", f"{name}.toml").stderr
+        assert "both states were read" in told
+        assert ("sigmas are taken as independent" in told) == used
+
+
+def test_copies_in_different_folders_are_called_by_their_folders(visited: Path) -> None:
+    """Both files were called ``mesh.csv``: a reader could not tell which was meant."""
+    files = [Path(name, "mesh.csv") for name in ("march", "may/one", "may/two", ".")]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(Path("old.csv").read_text())
+    machine = og.Machine.load(RIG / "machine.toml")
+    labels = ["march/mesh.csv", "one/mesh.csv", "two/mesh.csv", "mesh.csv"]
+    tables = readings_of(files, machine)
+    assert [source(table) for table in tables] == labels
+    assert [source(table) for table in readings_of(["old.csv", "new.csv"], machine)] == [
+        "old.csv", "new.csv",
+    ]  # fmt: skip
+    states = ([*readings_of(file, machine)] for file in files[:2])
+    before, after = with_distinct_names(*states)
+    assert [source(table) for table in (*before, *after)] == ["march/mesh.csv", "one/mesh.csv"]
+    twice = with_distinct_names(tables[:1], tables[:1])
+    assert [source(table) for (table,) in twice] == [
+        "mesh.csv (old-1-mesh)", "mesh.csv (new-1-mesh)",
+    ]  # fmt: skip
+    refused = run("identify", *files[:2], "--machine", RIG / "machine.toml")
+    assert "have the same name (march/mesh.csv, one/mesh.csv): leave" in refused.stderr
+    (told,) = copied_files((*before, *after))
+    assert told.startswith("the readings of one/mesh.csv are those of march/mesh.csv to")

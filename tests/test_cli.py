@@ -309,6 +309,24 @@ def test_what_a_design_sees_fits_the_terminal(here: Path, monkeypatch: pytest.Mo
     assert max(map(len, done("design", *options).splitlines())) <= 60
 
 
+def test_a_design_in_one_line_answers_what_was_asked(here: Path) -> None:
+    """``--quiet`` did not say whether the wanted accuracy is reached."""
+    plain = ("design", "--count", "6", "--quiet")
+    shown = "6 readings show 4 of 6 unknowns"
+    assert done(*plain).strip() == f"{shown}."
+    (line,) = done(*plain, "--want", "TCP=0.5,joint_offset.x=0.0001").splitlines()
+    reached, not_reached = line.removeprefix(f"{shown}; ").split("; ")
+    assert reached.startswith("design, sigma 0.5 mm of TCP")
+    assert "takes 1 visit to every station" in reached
+    assert not_reached.startswith("design, sigma 0.0001 mm of joint_offset.x")
+    assert "is out of reach of repeats" in not_reached
+    done("protocol", "--out", "sheet.csv")
+    (line,) = done(*plain, "sheet.csv", "--want", "TCP=0.5", "--detect").splitlines()
+    named = [re.match(r"\w+", part)[0] for part in line.split("; ")[1:]]  # type: ignore[index]
+    assert named == ["sheet", "sheet", "design", "design"]
+    assert line.count(" effects are seen, ") == 2
+
+
 def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     machine = ("--machine", planted_machine(here))
     (here / "goal.csv").write_text("name,p_x_mm,p_y_mm,p_z_mm\na,1,2,3\n\nb,-20,10,5\n")
@@ -333,6 +351,28 @@ def test_forward_and_inverse_on_a_csv(here: Path) -> None:
     (here / "travel.csv").write_text("travel_x_mm,travel_y_mm,travel_z_mm\n0,0,0\n")
     done("forward", "--csv", "travel.csv", "--out", "zero.csv")
     assert (here / "zero.csv").read_text().splitlines()[1] == "0,0,0,0.000000,0.000000,0.000000"
+
+
+def test_columns_that_are_copied_are_said_to_be(here: Path) -> None:
+    """A user took copied columns for results."""
+    more, cells = "load_N,shape_mm", "100,about 2"
+    (here / "forward.csv").write_text(
+        f"travel_x_mm,travel_y_mm,travel_z_mm,p_x_mm,{more}\n0,0,0,7,{cells}\n"
+    )
+    (here / "inverse.csv").write_text(f"p_x_mm,p_y_mm,p_z_mm,{more}\n0,0,0,{cells}\n")
+    for command, first, value in (
+        ("forward", "computed_p_x_mm", 0.0), ("inverse", "rho_x_mm", 310.25),
+    ):  # fmt: skip
+        told = done(command, "--csv", f"{command}.csv", "--out", f"{command}-out.csv")
+        (row,) = csv.DictReader((here / f"{command}-out.csv").open())
+        assert float(row[first]) == value
+        assert (row["load_N"], row["shape_mm"]) == ("100", "about 2")
+        told = " ".join(told.split())
+        assert f"1 row, computed: {first}, " in told
+        assert told.endswith("others are copied")
+        text = " ".join(done(command, "--help").split())
+        assert "Computed columns come last in the CSV" in text
+        assert "copied as they are and have no effect" in text
 
 
 def test_forward_and_inverse_of_another_layout(here: Path) -> None:

@@ -70,7 +70,8 @@ MEASURED: dict[str, tuple[re.Pattern[str], Callable[..., float], tuple[str, str]
     "axis_tilt": (TOWARD, moved_100_mm_outward, ("", "−")),
     "rail_bow": (TOWARD, middle_off_the_line, ("", "−")),
     "encoder_scale": (
-        re.compile(r"expect ([\d.]+) mm (more|less) than 50 mm"), beyond_a_move_of_50_mm,
+        re.compile(r"expect ([\d.]+) mm (more|less) than commanded for 50 mm of it"),
+        beyond_a_move_of_50_mm,
         ("more", "less"),
     ),
     "backlash": (
@@ -116,5 +117,9 @@ def test_the_confirming_test_shows_what_its_words_expect(name: Parameter, sign: 
     assert said[1] == "".join(across)
     expected = float(found[1]) * (1 - 2 * said[0])
     shown = measure(rig, leg, *across)
+    # A carriage whose stroke is shorter was asked to move so far; the size expected says for what.
+    assert not re.search(r"\bmove (of )?\d+ mm", words)
+    if measure is moved_100_mm_outward:
+        assert words.endswith("for 100 mm of travel")
     assert np.sign(expected) == np.sign(shown), (words, shown)
     assert expected == pytest.approx(shown, rel=0.15), words

@@ -442,6 +442,17 @@ def test_a_path_in_metres_is_doubted(tmp_path: Path) -> None:
         assert sum("are they metres?" in str(note) for note in read_path(path).warnings) == told
 
 
+def test_a_path_that_was_read_is_one_to_compensate(tmp_path: Path) -> None:
+    """``og.compensate`` refused what ``og.read_path`` had returned."""
+    machine = Machine.nominal().with_parameters({"joint_offset.x": 1e-3})
+    path = read_path(write_path(tmp_path / "path.csv", circle(4)))
+    found = compensate(machine, path)
+    assert np.array_equal(found.rho, compensate(machine, path.p).rho)
+    assert np.array_equal(machine.inverse(path), machine.inverse(path.p))
+    assert len(path) == 4
+    assert repr(path) == f"<PathPoints of {tmp_path / 'path.csv'}: 4 points>"
+
+
 def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
     """In what Python shows, in the names of files, and in the table of its zeros."""
     geometry = Geometry(

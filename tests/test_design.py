@@ -212,6 +212,10 @@ def test_repeats_are_the_fewest_that_reach_the_accuracy(machine, what):
     assert needed(found.sigma * (1 + 1e-9)).repeats == found.repeats
     assert needed(found.sigma * (1 - 1e-9)).repeats > found.repeats
     assert "out of reach" in str(needed(0.9 * once.floor))
+    # It was "out of reach" with less than that "with any number".
+    hardly = str(needed((1 + 1e-6) * once.floor))
+    assert "takes more than 1000 visits" in hardly
+    assert "out of reach" not in hardly
 
 
 def test_sigma_with_the_protocols_repeats_is_that_of_the_identification(machine):

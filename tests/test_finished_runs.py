@@ -202,3 +202,33 @@ def test_a_folder_holds_what_is_written_into_it(name: str, here: Path) -> None:
     with pytest.raises(FileError, match="must be a place within"):
         write_folder(here / "out", {"a.csv": "", name: "ours"})
     assert os.listdir(here) == ["c.csv"]
+
+
+@pytest.mark.parametrize(
+    ("command", "what"),
+    [
+        (("rerun", "{}"), "result"),
+        (("check", "{}", "c.csv"), "result"),
+        (("check", "c.csv", "{}"), "result"),
+        (("forward", "1", "2", "3", "--machine", "{}"), "calibrated machine"),
+    ],
+)
+def test_a_folder_without_a_result_is_answered_by_its_own_name(
+    command: tuple[str, ...], what: str, here: Path
+) -> None:
+    """The answer named a file in it, of which the user had never heard."""
+    (here / "empty").mkdir()
+    for name in ("one", "two"):
+        (here / "all" / name).mkdir(parents=True)
+        for file in ("result.json", "calibrated.toml"):
+            (here / "all" / name / file).write_text("")
+
+    def told(folder: str) -> str:
+        result = run(*(word.format(folder) for word in command))
+        assert result.exit_code == 2
+        return result.stderr.strip()
+
+    start = "orthoglide: {}: this folder holds no " + f"{what}: give "
+    assert told("empty").startswith(start.format("empty"))
+    assert "close-loop" in told("empty")
+    assert told("all") == f"{start.format('all')}{Path('all', 'one')} or {Path('all', 'two')}"

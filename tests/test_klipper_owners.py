@@ -347,5 +347,5 @@ def test_a_folder_with_a_printer_s_file_and_one_packed(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="unpack it"):
         import_printer(tmp_path / "config.tar.gz")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileError, match=r"printer\.cfg: there is no such file"):
+    with pytest.raises(FileError, match=r"empty: this folder holds no printer\.cfg: give"):
         import_printer(tmp_path / "empty")

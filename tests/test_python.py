@@ -11,6 +11,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from orthoglide.closing import RunOutcome, build_result
 from orthoglide.control import commands_text
 from orthoglide.layout import LinearDelta
 from orthoglide.observations import campaign_text
+from orthoglide.planning.suggestions import Suggestion
 from orthoglide.threads import on_one_thread
 from tests.studied import studied
 from tests.test_cli import done
@@ -255,6 +257,15 @@ def test_what_is_shown_of_commands_and_numbers(campaign: og.Campaign) -> None:
     assert all(page.startswith("<table><caption>") for page in shown)
 
 
+def test_a_suggestion_of_no_reading_does_not_count_readings() -> None:
+    """ "<Suggestion, 0 readings: 12 further dial readings ..." contradicted itself."""
+    told = "12 further dial readings on the legs would reduce the standard deviation by less"
+    none = Suggestion(told, "none", 1.0, None)
+    assert repr(none) == f"<Suggestion of no reading: {told}>"
+    assert repr(replace(none, chosen=(3,))) == f"<Suggestion, 1 reading: {told}>"
+    assert repr(replace(none, chosen=(3, 3))) == f"<Suggestion, 2 readings: {told}>"
+
+
 def test_what_is_shown_of_readings_to_take(estimate: og.Estimate) -> None:
     chosen = og.design(og.Machine.nominal(), count=6)
     assert len(chosen.to_frame()) >= 6
@@ -262,7 +273,10 @@ def test_what_is_shown_of_readings_to_take(estimate: og.Estimate) -> None:
     assert chosen._repr_html_() == chosen.campaign._repr_html_()
     for one in og.next_measurements(estimate):
         assert len(one.to_frame()) == len(one.rows)
-        assert repr(one).startswith(f"<Suggestion, {len(one.chosen)} readings: ")
+        chosen_rows = len(one.chosen)
+        assert chosen_rows != 1
+        of_readings = f", {chosen_rows} readings: " if chosen_rows else " of no reading: "
+        assert repr(one).startswith(f"<Suggestion{of_readings}{one.reason}")
         assert len(repr(one)) < 400
         assert one._repr_html_().count("<tr>") in (len(one.rows) + 1, 22)
 

@@ -25,6 +25,7 @@ from orthoglide.rehearsal.outcome import (
     Outcome,
     Rehearsal,
     Scope,
+    check_tolerances,
     draw_machine,
     judge_claims,
     run_campaign,
@@ -54,6 +55,40 @@ def test_machines_are_off_by_their_tolerances(scope: Scope) -> None:
     for name, share in (("joint_offset.x", 1.0), ("axis_tilt.y.z", 0.3), ("backlash.z", 0.3)):
         sizes = [m.values[name] / m.tolerance(name) for m in machines]
         assert np.sqrt(np.mean(np.square(sizes))) == pytest.approx(share, rel=0.35), name
+
+
+def test_tolerances_of_another_size_of_machine_are_refused(tmp_path: Path) -> None:
+    """Of nine campaigns on a machine of 10 mm with the tolerances of one of 300 mm eight failed, as
+    of loops that do not close and values in another unit.
+    """
+    size = "schema = 1\n[geometry_mm]\nL = 10.0\nd = 3.0\nr = 1.2\nstroke = [-3.0, 2.0]\n"
+    (tmp_path / "micro.toml").write_text(size)
+    refused = run("rehearse", tmp_path / "micro.toml", "--campaigns", "9", "--quiet")
+    assert refused.exit_code == 2
+    said, _, largest = refused.stderr.strip().partition(", at most ")
+    assert "too large for a machine whose bars are 10 mm long: give" in said
+    assert largest == "joint_offset = 0.33, axis_offset = 0.1"
+    stated = "\n".join(["[tolerance]", *largest.split(", ")])
+    (tmp_path / "micro.toml").write_text(size + stated)
+    machine = og.Machine.load(tmp_path / "micro.toml")
+    small = Scope.of(machine, og.protocol("standard", machine.geometry))
+    check_tolerances(small)
+    for number in range(20):
+        for kind in KINDS:
+            drawn(small, kind, number)
+
+
+def test_no_warning_of_a_covariance_that_a_rehearsal_does_not_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orthoglide.rehearsal.rehearse", lambda *_, **__: SimpleNamespace(line=""))
+    calibrated = og.Machine.load(MACHINE).with_parameters(
+        {"joint_offset.x": 1e-3}, {"joint_offset.x": 1e-5}
+    )
+    calibrated.save(tmp_path / "calibrated.toml")
+    assert "covariance" in str(og.Machine.load(tmp_path / "calibrated.toml").warnings)
+    done = run("rehearse", tmp_path / "calibrated.toml", "--quiet")
+    assert (done.exit_code, done.stderr) == (0, "")
 
 
 # --- how it is scored -----------------------------------------------------------------------------

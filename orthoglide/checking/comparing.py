@@ -22,18 +22,19 @@ from orthoglide.checking.plates import plate_moves
 from orthoglide.checking.states import State, read_states, with_distinct_names
 from orthoglide.closing import RunOutcome, build_result, compute_outcome
 from orthoglide.effects import Effect
-from orthoglide.explanation.change import COLUMNS, Change, combination
+from orthoglide.explanation.change import COLUMNS, SIGNIFICANT_SIGMAS, Change, combination
 from orthoglide.explanation.change_search import visits
 from orthoglide.explanation.recalibration import account_for_changes
 from orthoglide.fit import assemble, solve
 from orthoglide.frames import Framed
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Readings
+from orthoglide.observations import Readings, source
 from orthoglide.observations.touched_plates import PlateMove
 from orthoglide.ordering import ranked
 from orthoglide.parameters import Parameter
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import Curve, Located, Request
+from orthoglide.text import listed
 from orthoglide.threads import on_one_thread
 from orthoglide.verdict import Verdict
 
@@ -205,7 +206,7 @@ def _comparison(
     gone = located_only_in_first(closed_before, closed)
     come = located_only_in_first(closed, closed_before)
     if not jointly or gone or come:
-        files = ", ".join(old_names), ", ".join(new_names)
+        files = ", ".join(map(source, before)), ", ".join(map(source, after))
         names = {shape.name for shape in shapes}
         sizes = [change for change in together.changed if change.parameter.effect in names]
         of_shapes = with_uncertain_shapes(sizes, errors)
@@ -234,13 +235,45 @@ def verdict_with_changes(closed: RunOutcome, changes: Iterable[Change]) -> Verdi
     """Return the verdict on the new readings with changes since the old ones. Sizes of located
     errors are no alternatives to parameters of the machine there, as no drawing shows them.
     """
-    catalogue = closed.request.machine.catalogue
+    changes, catalogue = tuple(changes), closed.request.machine.catalogue
 
     def drawn(change: Change) -> Change:
         sizes = {p: size for p, size in change.sizes.items() if p.effect in catalogue}
         return replace(change, sizes=sizes) if change.parameter in sizes else change
 
-    return build_result(replace(closed, changed=tuple(map(drawn, changes))), Verdict)
+    not_contained = _changes_not_contained(closed, changes)
+    changed = tuple(map(drawn, changes))
+    return build_result(replace(closed, changed=changed, not_contained=not_contained), Verdict)
+
+
+def _changes_not_contained(closed: RunOutcome, changes: Iterable[Change]) -> str:
+    """Return a sentence on the structural changes that the machine of the new readings alone does
+    not contain, as it is nearer to the old state; empty for none.
+
+    Sizes and angles of a controller may be fitted to such a change and hide it from these readings.
+    Zeros hardly can, so machines whose controller takes zeros alone are not concerned.
+    """
+    machine, catalogue = closed.request.machine, closed.request.machine.catalogue
+
+    def is_contained(change: Change) -> bool:
+        value = closed.values.get(change.parameter, 0.0)
+        before, after = abs(value - change.before), abs(value - change.after)
+        return after <= max(before, SIGNIFICANT_SIGMAS * change.sigma)
+
+    words = [
+        f"the {change.words}"
+        for change in changes
+        if change.parameter.effect in catalogue
+        and change.parameter.effect not in catalogue.base
+        and not is_contained(change)
+    ]
+    if machine.geometry.dialled or not words:
+        return ""
+    return (
+        f"The new readings alone do not show that {listed(words)} changed, and other numbers are "
+        f"fitted to it: enter no number before the change is confirmed and corrected, and the "
+        f"readings are taken again."
+    )
 
 
 def _joint_differences(

@@ -23,10 +23,11 @@ def changes_text(comparison: Check) -> str:
     parts = [f"- {text}" for text in data["said"]]
     parts += [f"- data: {fault.message}" for fault in comparison.with_changes.blunders]
     parts += ["", "The machine now:", data["left"], data["tool"]]
-    parts += [f"Caution: {text}" for text in comparison.with_changes.cautions]
+    parts += [f"Caution: {text}" for text in comparison.with_changes.further_cautions]
     parts += ["", "What to do:", *action_lines(comparison.with_changes)]
     advice = comparison.verdict.firmware
-    if advice is not None and advice.corrections is not None:
+    withheld = any(one.kind == "zeros" for one in comparison.with_changes.withheld)
+    if advice is not None and advice.corrections is not None and not withheld:
         source = "from the new readings alone"
         parts.append(f"(close-loop lists the numbers for the firmware, {source}.)")
     if data["checks"]:
@@ -71,7 +72,7 @@ def changes_page(comparison: Check) -> str:
 
 
 def _page_data(comparison: Check) -> dict[str, Any]:
-    verdict = replace(comparison.verdict, changed=())  # listed by parameter
+    verdict = replace(comparison.with_changes, changed=())  # listed by parameter
     numbers = comparison.with_changes.numbers
     now, zeros = (f"{numbers.expected[k].shape * 1e3:.3f} mm" for k in ("now", "zeros"))
     zero = ", ".join(f"{d.leg} {plain(d.new_zero * 1e3, 3)}" for d in numbers.drives)

@@ -15,6 +15,7 @@ from orthoglide.files import result_file
 from orthoglide.fit import readings_of
 from orthoglide.machine import Machine
 from orthoglide.observations import Readings, ReadingsOrPath
+from orthoglide.observations.tables import with_distinct_sources
 from orthoglide.result.request import Request, read_result, request_of
 
 State = ReadingsOrPath | Sequence[ReadingsOrPath] | Request
@@ -63,7 +64,8 @@ def read_states(
 
 
 def _before_calibration(machine: Machine) -> Machine:
-    """Return the machine without the parameters, posterior and located errors of an earlier run.
+    """Return the machine without the parameters, posterior and located errors of an earlier run,
+    and without the warning that the posterior is missing.
 
     Otherwise the old readings would count twice, as prior and as data, and a located error would be
     compared by its coefficients in place of its size.
@@ -75,7 +77,9 @@ def _before_calibration(machine: Machine) -> Machine:
     located = {*with_free_forms(catalogue, spec.catalogue, spec.geometry)} - {*catalogue}
     remaining = tuple(e for e in spec.catalogue.effects if e.name not in located)
     catalogue = Catalogue(remaining, spec.catalogue.legs)
-    return Machine(replace(spec, catalogue=catalogue, parameters={}, posterior=None))
+    warnings = tuple(note for note in spec.warnings if note.kind != "covariance")
+    spec = replace(spec, catalogue=catalogue, parameters={}, posterior=None, warnings=warnings)
+    return Machine(spec)
 
 
 def _load_run(state: State, effects: tuple[Effect, ...]) -> State:
@@ -108,8 +112,8 @@ def _check_firmware_numbers(name: str, other_name: str, machine: Machine, other:
 def with_distinct_names(
     old: Sequence[Readings], new: Sequence[Readings]
 ) -> tuple[list[Readings], list[Readings]]:
-    """Return the campaigns of both sides with distinct names. A setup at the tool that is the only
-    one of its kind at both visits gets the same name at both.
+    """Return the campaigns of both sides with distinct names and labels. A setup at the tool that
+    is the only one of its kind at both visits gets the same name at both.
     """
     new_names, old_names = (_unique_setups_by_kind(side) for side in (new, old))
     renames = {name: new_names[kind] for kind, name in old_names.items() if kind in new_names}
@@ -132,7 +136,8 @@ def with_distinct_names(
     if len(set(names)) < len(names):
         before = [replace(c, name=f"old-{k}-{c.name}") for k, c in enumerate(before, start=1)]
         after = [replace(c, name=f"new-{k}-{c.name}") for k, c in enumerate(after, start=1)]
-    return before, after
+    labelled = with_distinct_sources((*before, *after))
+    return labelled[: len(before)], labelled[len(before) :]
 
 
 def _unique_setups_by_kind(side: Sequence[Readings]) -> dict[str, str]:

@@ -261,8 +261,10 @@ def check(
         from orthoglide.checking.pages import changes_text, check_files
         from orthoglide.observations.tables import copied_files
 
-        robot = None if machine.path is None else machine.load()
+        robot = None if machine.path is None else machine.read()
         old, new = read_states(states[0], states[1], robot, machine.effects)
+        if robot is not None:
+            opt.warn_of(new.machine)  # which is used without what a calibration found
         changes = compare(old, new, noise=noise, seed=seed, progress=step)
         files = {} if out is None else check_files(changes, step)
         text = machine.with_typed_paths(changes_text(changes), out or _UNNAMED)

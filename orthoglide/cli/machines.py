@@ -55,7 +55,7 @@ def compensate(
         raise InputError("give --load from 0 to 10000 N and --warming within 100 K")
     points, robot = control.read_path(path), machine.load()
     try:
-        commands = control.compensate(robot, points.p, load=load_N, warming=warming, force=force)
+        commands = control.compensate(robot, points, load=load_N, warming=warming, force=force)
     except UnreachableError as error:
         line = points.line[error.index[0]] if error.index else None
         raise FileError(str(error), file=points.file, line=line) from error
@@ -175,6 +175,9 @@ def forward(**options: Any) -> None:
     Mechanical zero of the nominal machine is 310.25 310.25 310.25, where the TCP is 0 0 0. Machines
     of another layout are commanded by travel from mechanical zero, there 0 0 0.
 
+    Computed columns come last in the CSV: p_*_mm, or computed_p_*_mm beside given ones. Others are
+    copied as they are and have no effect, time, temperature and load included.
+
     \b
     Examples:
       orthoglide forward 310.25 310.25 310.25
@@ -188,6 +191,9 @@ def inverse(**options: Any) -> None:
     """Commands for a TCP: three coordinates in mm, or a CSV of p_x_mm, p_y_mm, p_z_mm.
 
     With a calibrated machine file these are the commands that bring the real TCP to the point.
+
+    Computed columns come last in the CSV, named computed_* beside given ones. Others are copied as
+    they are and have no effect, except approach_*.
 
     \b
     Example:
@@ -244,7 +250,9 @@ def _compute(
             for *row, new in zip(*rows.columns.values(), results, strict=True)
         ),
     )
-    _deliver_table(text, out, f"{len(results)} rows" if out else "")
+    count = f"{len(results)} row{'s' * (len(results) != 1)}"
+    answer = f"{count}, computed: {', '.join(result_names)}; others are copied"
+    _deliver_table(text, out, answer if out else "")
 
 
 def _raise_input_error(message: str, row: int | None) -> NoReturn:

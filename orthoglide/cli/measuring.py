@@ -17,6 +17,7 @@ from orthoglide.text import printable_path, wrapped
 if TYPE_CHECKING:
     from orthoglide.machine import Machine
     from orthoglide.observations import Readings
+    from orthoglide.planning.detectable import Detectability
 
 _kind_option = click.option(
     "--kind", type=click.Choice(opt.PROTOCOLS), default="standard", show_default=True,
@@ -251,21 +252,23 @@ def design(
                 for name, sheet in compared.items()]  # fmt: skip
         lines = [planning.index_table([*rows, ("design", chosen.indices)])]
         compared["design"] = chosen.campaign
-        found_from = list[str]()
+        short, found_from = list[str](), list[str]()  # parts of the answer in one line
         for name, sheet in compared.items():
             step(Step("computing", f"what {name} sees"))
             lines += [f"{name}: {warning}" for warning in planning.aliasing(robot, sheet)]
             for what, sigma in target_sigmas.items():
                 repeats = planning.repeats_needed(robot, sheet, chosen.names, what, sigma, noise)
                 lines.append(f"{name}, {repeats}")
+                short += [lines[-1]] * (bool(sheets) or name == "design")
             if detect:
                 smallest = planning.smallest_effects(robot, sheet, noise=noise, seed=seed)
                 found_from += ["", f"{name}:", *planning.detectable_rows(smallest)]
+                short += [f"{name}, {_seen(smallest)}"] * (bool(sheets) or name == "design")
         lines += found_from
         files, sheet_lines = ({}, ()) if out is None else _sheet_files(out, chosen.campaign, robot)
     line = (
         f"{len(chosen.campaign)} readings show {chosen.indices.rank} of "
-        f"{chosen.indices.unknowns} unknowns."
+        f"{'; '.join((f'{chosen.indices.unknowns} unknowns', *short))}."
     )
     deliver(line if quiet else wrapped("\n".join([*lines, *sheet_lines])), files)
 
@@ -302,9 +305,13 @@ def _design_for_instruments(
             lines.append(
                 f"{observation.instrument_phrase}: {instruction or observation.sheet_instruction}."
             )
+    deliver(f"{_seen(smallest)}." if quiet else wrapped("\n".join(lines)), files)
+
+
+def _seen(smallest: Detectability) -> str:
+    """Return how many effects are detected, a clause."""
     effects, hidden = len(smallest.by_effect), len(smallest.invisible)
-    line = f"{effects} effects are seen, {hidden} parameters are not visible."
-    deliver(line if quiet else wrapped("\n".join(lines)), files)
+    return f"{effects} effects are seen, {hidden} parameters are not visible"
 
 
 @cli.command()
@@ -339,7 +346,8 @@ def rehearse(
     from orthoglide.rehearsal import rehearse as run
 
     opt.exclude("owns", "sheet", because="each instrument has a sheet of its own")
-    robot = machine.load()
+    robot = machine.read()
+    opt.warn_of(robot, covariance=False)  # its parameters do not count
     with progress(quiet) as step:
         rehearsal = run(
             robot, sheet, campaigns, owns=owns, seed=seed, out=out, progress=step, jobs=jobs

@@ -132,13 +132,23 @@ class MachineOption:
 
     def load(self) -> Machine:
         """Return the machine, and print warnings about its file."""
+        machine = self.read()
+        warn_of(machine)
+        return machine
+
+    def read(self) -> Machine:
+        """Return the machine without printing warnings, for commands that do not use all of it."""
         from orthoglide.machine import Machine
 
-        machine = Machine.of(self.path, self.effects)
-        printer = machine.spec.printer
-        doubts = "" if printer is None else printer.doubts(machine)
-        warn(tuple(filter(None, (doubts, *machine.warnings))))
-        return machine
+        return Machine.of(self.path, self.effects)
+
+
+def warn_of(machine: Machine, *, covariance: bool = True) -> None:
+    """Print warnings about a machine's file; without ``covariance`` not that this is missing."""
+    printer = machine.spec.printer
+    doubts = "" if printer is None else printer.doubts(machine)
+    notes = (n for n in machine.spec.warnings if covariance or n.kind != "covariance")
+    warn(tuple(filter(None, (doubts, *notes))))
 
 
 def machine(required: bool = False) -> Decorator:

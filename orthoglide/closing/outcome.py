@@ -46,6 +46,7 @@ class RunOutcome(Judged, CredibleSets):
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
+    not_contained: str = ""  # changes since earlier readings that it lacks, a sentence; else empty
 
     def with_warnings(self, *notes: Note) -> Self:
         """Return the outcome with further warnings on its last fit."""
@@ -178,11 +179,13 @@ class RunOutcome(Judged, CredibleSets):
 
     @property
     def contradicted(self) -> str:
-        """How readings contradict each other, or how readings or points held out contradict the
-        result; else empty.
+        """How readings contradict each other, or how readings or points held out, or earlier
+        readings, contradict the result; else empty.
         """
         if self._disagreements:
             return self._disagreements[0]
+        if self.not_contained:
+            return self.not_contained
         hold_out, tcp = self.hold_out, None if self.tcp is None else self.tcp["translation"]
         threshold = self.before.problem.noise.typical / 2  # a smaller difference is not measurable
         if tcp is not None and tcp.after_mean > tcp.before_mean + threshold:

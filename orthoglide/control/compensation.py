@@ -201,7 +201,8 @@ def compensate(
 
     Args:
         machine: calibrated, or the path of its file.
-        points: TCP ``(n, 3)``, metres, in the order in which they are gone through.
+        points: TCP ``(n, 3)``, metres, in the order in which they are gone through; also what
+            ``read_path`` returns.
         start: TCP ``(3,)`` before the first point; where absent, all drives arrive at it in +.
         time: seconds, a number or ``(n,)``.
         warming: kelvin above the calibration's first reading, a number or ``(n,)``.
@@ -342,12 +343,21 @@ def _commands_along_path(
 
 @dataclass(frozen=True, eq=False)
 class PathPoints:
-    """A path as it was read."""
+    """A path as it was read; numpy takes it as the array of its points."""
 
     p: Array  # TCP points (n, 3), metres, in the order of the rows
     line: tuple[int, ...]  # line of each in the file (n,), header line 1
     file: str  # its name as the caller gave it
     warnings: tuple[Note, ...]  # what was noticed and is no error
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    def __repr__(self) -> str:
+        return f"<PathPoints of {self.file}: {len(self)} points>"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
+        return np.array(self.p, dtype=dtype)
 
 
 @public

@@ -48,14 +48,14 @@ ENCODER_SCALE = Effect(
     because="0.1 mm over a metre is a poor scale or a screw of class C7",
     sentence="the drive moves more or less than commanded, in proportion",
     look_at="the drive's scale in the controller, the screw's lead or a belt's pulley: measure "
-    "100 mm of the carriage's travel",
+    "100 mm of the carriage's travel, or all of a shorter stroke",
     members=once(Motion("travel", lambda c: c.nominal_travel)),
     words=Words(
         "drive {leg} moves {size} {more|less} than commanded",
         "drive {leg} moves more or less than commanded",
         "the drives move more or less than commanded",
-        confirm="set a dial or a scale on carriage {leg} and command a move of 50 mm: expect "
-        "{mm:50e-3} {more|less} than 50 mm",
+        confirm="set a dial or a scale on carriage {leg} and command a long move: expect "
+        "{mm:50e-3} {more|less} than commanded for 50 mm of it",
         common="all drives move {size} {more|less} than commanded",
     ),
     group="drive",

@@ -54,7 +54,7 @@ AXIS_TILT = Effect(
         "the paths of the carriages are out of square",
         _SLOPE,
         "set a dial on carriage {leg} against a square that {along}: expect {mm:0.1} toward "
-        "{toward}",
+        "{toward} for 100 mm of travel",
     ),
     urdf=True,
 )
@@ -73,7 +73,7 @@ RAIL_TILT = Effect(
         "the rails lean and their carriages with them",
         _SLOPE,
         "set a dial on carriage {leg} against a square that {along}: expect {mm:0.1} toward "
-        "{toward}, and a square held to the carriage {mrad} off",
+        "{toward} for 100 mm of travel, and a square held to the carriage {mrad} off",
     ),
 )
 

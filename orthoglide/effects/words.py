@@ -59,8 +59,8 @@ def along(leg: str, axis: str) -> str:
     the direction ``axis`` shows whether the leg is a tower.
     """
     if axis in _TOWER_SIDES:
-        return f"stands along tower {leg}, and move 100 mm up"
-    return f"lies along {leg}, and move 100 mm outward"
+        return f"stands along tower {leg}, and move up"
+    return f"lies along {leg}, and move outward"
 
 
 def across(axis: str) -> str:

@@ -28,6 +28,7 @@ from orthoglide.observations import (
     read_tcp,
     split_legs_and_tool,
 )
+from orthoglide.observations.tables import with_distinct_sources
 from orthoglide.parameters import Parameter, split_campaign
 
 _MIN_POINTS = 3  # TCP points: the frame alone needs three
@@ -205,7 +206,7 @@ def read_tables(
             tables += split_legs_and_tool(item)
     if not tables:
         raise InputError("there is no campaign: give at least one file of readings")
-    return tables
+    return with_distinct_sources(tables)
 
 
 def _as_list(given: Any) -> list[Any]:

@@ -220,8 +220,8 @@ def _line_list(readings: Readings, lines: tuple[int, ...]) -> str:
 
 _SIZE_ADVICE = (
     "the rods, the drives (belt pitch, microsteps), the part or the calliper cause the remainder: "
-    "measure a rod between its holes, 100 mm of a carriage's travel, and a gauge "
-    "block with the calliper, and give the first two under [measured] of the machine file"
+    "measure a rod between its holes, 100 mm of a carriage's travel (or a shorter stroke), and a "
+    "gauge block with the calliper, and give the first two under [measured] of the machine file"
 )
 _MEAN_SIZE_SENTENCE = "printed parts are usually {} % smaller than commanded"
 

@@ -16,6 +16,7 @@ from orthoglide.fit.factors import Factor
 from orthoglide.geometry import Array
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Posterior
+from orthoglide.observations import source
 from orthoglide.parameters import Parameter, split_campaign
 
 _DRIFT_SHARE = 0.02
@@ -115,8 +116,9 @@ def build_unknowns(
     """
     stems = [factor.name for factor in factors]
     if len(set(stems)) != len(stems):
+        alike = [source(f.readings) for f in factors if stems.count(f.name) > 1]
         raise InputError(
-            f"two campaigns have the same name ({', '.join(stems)}): leave one out if both are one "
+            f"two campaigns have the same name ({', '.join(alike)}): leave one out if both are one "
             f"file, else rename one (in Python dataclasses.replace(campaign, name='second'))"
         )
     catalogue, unknowns = machine.catalogue, list[Unknown]()

@@ -18,6 +18,7 @@ from orthoglide.geometry import Array, Geometry
 from orthoglide.layout import ORTHOGLIDE, LinearDelta
 from orthoglide.layout.leg import Triple
 from orthoglide.machine_file.posterior import Posterior
+from orthoglide.notes import Note
 from orthoglide.parameters import Parameter
 from orthoglide.reduction.spheres import intersect_spheres
 
@@ -88,15 +89,16 @@ class Stiffness:
         if self.bar is not None and not 0 < self.bar < np.inf:
             raise InputError(f"a bar's stiffness must be positive, in N/m, not {self.bar}")
 
-    def warnings(self, file: str) -> tuple[str, ...]:
+    def warnings(self, file: str) -> tuple[Note, ...]:
         """Return warnings about the constants of a file."""
         if self.torsion is None:
             return ()
         limit = f"{_STIFF_LEG_TORSION / 1e-3:.0e}"
-        return (
+        return (Note(
             f"{file}: torsion_Nmm_per_rad is no longer modelled. Below {limit} N mm/rad a leg's "
             f"torsion changes results by less than 5 %; this file has {self.torsion / 1e-3:.3g}",
-        )
+            "stiffness",
+        ),)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -234,7 +236,7 @@ class MachineFile:
     file: str = field(default="", compare=False)
     sha256: str = field(default="", compare=False)
     posterior: Posterior | None = field(default=None, compare=False, repr=False)
-    warnings: tuple[str, ...] = field(default=(), compare=False)
+    warnings: tuple[Note, ...] = field(default=(), compare=False)
     build: str = ""
 
     @property

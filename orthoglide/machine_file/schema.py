@@ -97,7 +97,8 @@ MEASURED = Section("measured", model.Measured, (
     Key("rods_mm", list_of(_POSITIVE_LENGTH, 2),
         "Length of the bars between their pivots, in the mean of all: `[272.1, 0.1]`."),
     Key("travel_of_100_mm", list_of(_POSITIVE_LENGTH, 2), "How far a carriage went at a command "
-        "of 100 mm, in the mean of all: `[100.2, 0.05]`.", attribute="travel"),
+        "of 100 mm (of a shorter stroke in proportion), in the mean of all: `[100.2, 0.05]`.",
+        attribute="travel"),
 ))
 STIFFNESS = Section("stiffness", model.Stiffness, (
     Key("torsion_Nmm_per_rad", quantity(Unit("N mm/rad", 1e-3), 0, _MAX_STIFFNESS, closed=True),

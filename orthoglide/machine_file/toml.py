@@ -26,6 +26,7 @@ from orthoglide.machine_file.model import (
     default_machine_name,
 )
 from orthoglide.machine_file.posterior import parse_posterior, posterior_bytes, posterior_path
+from orthoglide.notes import Note
 from orthoglide.parameters import effect_name
 from orthoglide.text import abbreviated, printable_path
 
@@ -81,10 +82,11 @@ def read_machine_file(
     warnings = machine.stiffness.warnings(machine.file)
     has_sigmas = any(entry.sigma for entry in machine.parameters.values())
     if posterior is None and not machine.is_measured and has_sigmas:
-        warnings += (
+        warnings += (Note(
             f"{machine.file}: there is no {printable_path(beside.name)} beside it with the "
             f"covariance of its parameters: their sigmas are taken as independent",
-        )
+            "covariance",
+        ),)  # fmt: skip
     # The covariance may contain parameters of alternatives that the file does not contain.
     names = posterior.names if posterior else ()
     catalogue = with_free_forms(machine.catalogue, names, machine.geometry)

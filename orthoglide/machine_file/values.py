@@ -6,13 +6,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import InputError, check_mapping
 from orthoglide.machine_file.model import MachineFile, ParameterValue
 from orthoglide.numerals import compact
 
 _MAX_TOLERANCES = 500.0  # beyond, a value must be in another unit, such as a thousandth of SI
 _MAX_LENGTH_RATIO = 0.1  # largest error of a length over that of a bar
+
+
+def largest_value(spec: MachineFile, effect: Effect) -> float:
+    """Return the largest value of an effect's parameters that is plausible, SI."""
+    length = _MAX_LENGTH_RATIO * spec.geometry.L if effect.unit.name == "mm" else np.inf
+    return float(min(_MAX_TOLERANCES * spec.tolerance[effect.name], length))
 
 
 def check_magnitudes(spec: MachineFile, values: Mapping[str, float]) -> None:
@@ -25,8 +31,7 @@ def check_magnitudes(spec: MachineFile, values: Mapping[str, float]) -> None:
     for name, value in values.items():
         effect = spec.catalogue.effect_of(name)
         unit, tolerance = effect.unit, spec.tolerance[effect.name]
-        length = _MAX_LENGTH_RATIO * spec.geometry.L if unit.name == "mm" else np.inf
-        if abs(value) > min(_MAX_TOLERANCES * tolerance, length):
+        if abs(value) > largest_value(spec, effect):
             raise InputError(
                 f"{name} = {compact(value / unit.si, 6)}{unit.behind} is "
                 f"{abs(value) / tolerance:.0f} times "

@@ -98,5 +98,7 @@ def checked_array(values: Any, spec: ArraySpec, n: int, name: str) -> NDArray[An
 
 
 def source(readings: Any) -> str:
-    """Return the origin of readings in words: their file without its folder, or their name."""
-    return str(readings.file.rpartition("/")[2] or readings.name)
+    """Return the origin of readings in words: their label, their file without its folder, or their
+    name.
+    """
+    return str(readings.label or readings.file.rpartition("/")[2] or readings.name)

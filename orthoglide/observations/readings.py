@@ -73,6 +73,7 @@ class Readings:
             axis.
         second: the other command of a distance ``(n, 3)``, metres; nan for other kinds.
         file: the file's name as the caller gave it, or ``""``.
+        label: what messages call the file if its name without a folder is not enough, or ``""``.
         sha256: digest of the file, or ``""``.
         warnings: remarks on reading that are no errors.
         reference_temperature: zero of `temperature_rise`; nan: the first one recorded.
@@ -115,6 +116,7 @@ class Readings:
     legs: LegNames = ORTHOGLIDE.names
     moves: Moves = field(default_factory=Moves)
     by_point: bool = False
+    label: str = ""
 
     def __post_init__(self) -> None:
         names = [s.name for s in self.setups]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import PurePath
 from typing import Any, Literal
 
 import numpy as np
@@ -14,8 +15,9 @@ from orthoglide.errors import InputError
 from orthoglide.geometry import Array
 from orthoglide.instruments import Coordinate, Setup
 from orthoglide.observations.approach import Moves
-from orthoglide.observations.arrays import READING_ARRAYS
+from orthoglide.observations.arrays import READING_ARRAYS, source
 from orthoglide.observations.readings import Readings
+from orthoglide.text import printable_path
 
 
 @public
@@ -177,13 +179,45 @@ def shared_fraction(table: Readings, other: Readings) -> float:
     return len(keys_of_table & keys(other)) / max(len(keys_of_table), 1)
 
 
+def with_distinct_sources(tables: Sequence[Readings]) -> list[Readings]:
+    """Return the tables with labels where messages would call two of them alike.
+
+    A label has as many folders as tell files of one name apart, and the name of the table where
+    several tables are of one file.
+    """
+    same_source = [
+        [other for other in tables if source(other) == source(table)] if table.file else [table]
+        for table in tables
+    ]
+    return [
+        replace(table, label=_distinct_label(table, group)) if len(group) > 1 else table
+        for table, group in zip(tables, same_source, strict=True)
+    ]
+
+
+def _distinct_label(table: Readings, group: Sequence[Readings]) -> str:
+    """Return the label of a table among tables of files of one name; readings of legs and of the
+    tool in one file are one table for messages.
+    """
+    parts = PurePath(table.file).parts
+    others = [PurePath(other.file).parts for other in group if other.file != table.file]
+    count = next(
+        (k for k in range(1, len(parts)) if all(other[-k:] != parts[-k:] for other in others)),
+        len(parts),
+    )
+    path = printable_path(PurePath(*parts[-count:]))
+    names = {o.name for o in group if o.file == table.file and o.of_tool == table.of_tool}
+    return f"{path} ({table.name})" if len(names) > 1 else path
+
+
 def copied_files(tables: Sequence[Readings]) -> Iterator[str]:
     """Yield a sentence for each file whose readings all equal those of an earlier file."""
+    tables = with_distinct_sources(tables)
     for k, table in enumerate(tables):
         for other in tables[:k]:
             if len(table) == len(other) and shared_fraction(table, other) == 1.0:
                 yield (
-                    f"the readings of {table.name} are those of {other.name} to the last digit: a "
-                    f"copy adds no information, so leave one of them out"
+                    f"the readings of {source(table)} are those of {source(other)} to the last "
+                    f"digit: a copy adds no information, so leave one of them out"
                 )
                 break

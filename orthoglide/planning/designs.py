@@ -221,6 +221,11 @@ class Repeats:
     def __str__(self) -> str:
         wanted, sigma, floor = (v / self.unit.si for v in (self.wanted, self.sigma, self.floor))
         request = f"sigma {wanted:.3g}{self.unit.behind} of {self.what} (tolerances as priors)"
+        if self.repeats is None and self.floor < self.wanted:
+            return (
+                f"{request} takes more than {_MAX_REPEATS} visits to every station: {sigma:.3g} "
+                f"with one visit, {floor:.3g} with any number"
+            )
         if self.repeats is None:
             return (
                 f"{request} is out of reach of repeats: {sigma:.3g} with one visit, "

@@ -62,7 +62,9 @@ class Suggestion(Framed):
         return self.aim == "none" and self.gain < DECISIVE_SIGMAS
 
     def __repr__(self) -> str:
-        return f"<Suggestion, {len(self.chosen)} readings: {self.reason}>"
+        count = len(self.chosen)
+        readings = f", {count} reading{'s' * (count > 1)}" if count else " of no reading"
+        return f"<Suggestion{readings}: {self.reason}>"
 
     @property
     def columns(self) -> dict[str, list[Any]]:

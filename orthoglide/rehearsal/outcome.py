@@ -14,10 +14,12 @@ from orthoglide.accuracy import expected_error
 from orthoglide.closing import RunOutcome, compute_outcome
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.wording import cause_short
-from orthoglide.errors import OrthoglideError
+from orthoglide.errors import InputError, OrthoglideError
 from orthoglide.explanation import visible_free_form_errors, with_all_parameters
 from orthoglide.frames import Framed, data_frame
 from orthoglide.machine import Machine
+from orthoglide.machine_file.values import largest_value
+from orthoglide.numerals import compact
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter, split_campaign
 from orthoglide.planning import predicted_problem
@@ -57,6 +59,8 @@ KIND_SEQUENCE = (
 EFFECT_SIZES = (3.0, 10.0)
 """Sizes of a single effect, in tolerances."""
 
+_BASE_SIGMAS = 3.0  # sigmas of zeros and lengths that a machine must allow: few draws exceed them
+
 FREE_FORM_SIZES = (0.5, 2.0)
 """Root mean squares of a free-form error, in its prior standard deviations."""
 
@@ -80,8 +84,33 @@ class Scope:
         setups = [s.name for sheet in sheets for s in sheet.setups]
         parameters = tuple(bare.catalogue.parameter(n, setups) for n in names)
         errors = visible_free_form_errors(full_model)
-        errors = tuple(e for e in errors if e.in_model and not (e.is_local or e.is_line))
+        drawable = (e for e in errors if e.in_model and not (e.is_local or e.is_line))
+        errors = tuple(e for e in drawable if e.effect.motions)  # which one leg has
         return cls(bare, sheets, parameters, errors)
+
+
+def check_tolerances(scope: Scope) -> None:
+    """Refuse tolerances by which machines are drawn that no machine of this size can be.
+
+    Raises:
+        InputError: naming the tolerances, with the largest that can be drawn.
+    """
+    spec, catalogue = scope.machine.spec, scope.machine.catalogue
+    largest = dict[str, str]()
+    for name in dict.fromkeys((*catalogue.base, *(n.effect for n in scope.parameters))):
+        effect = catalogue.effect_of(name)
+        multiple = _BASE_SIGMAS if name in catalogue.base else EFFECT_SIZES[1]
+        limit = largest_value(spec, effect) / multiple
+        if spec.tolerance[name] > limit:
+            step = 10.0 ** (np.floor(np.log10(limit / effect.unit.si)) - 1)
+            rounded = np.floor(limit / effect.unit.si / step) * step  # two digits, not above
+            largest[name] = f"{name} = {rounded:.2g}"
+    if largest:
+        raise InputError(
+            f"the tolerances are too large for a machine whose bars are "
+            f"{compact(spec.geometry.L * 1e3, 3)} mm long: give those of your machine under "
+            f"[tolerance] of the machine file, at most {', '.join(largest.values())}"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from orthoglide.observations import Readings, campaign_text, protocol, read_read
 from orthoglide.observations.protocols import ProtocolName
 from orthoglide.planning import sheets_by_kind
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.rehearsal.outcome import Outcome, Rehearsal, Scope, run_campaign
+from orthoglide.rehearsal.outcome import Outcome, Rehearsal, Scope, check_tolerances, run_campaign
 from orthoglide.result import decoded, encoded
 
 CAMPAIGNS = 90
@@ -60,8 +60,8 @@ def rehearse(
         progress: called with each step; any callable will do.
 
     Raises:
-        InputError: for a machine or sheet that cannot be used, or a folder of another rehearsal or
-            of more campaigns.
+        InputError: for a machine or sheet that cannot be used, tolerances too large for the
+            machine, or a folder of another rehearsal or of more campaigns.
         NumericsError: where a process is ended from outside.
     """
     progress = progress or no_progress
@@ -70,6 +70,7 @@ def rehearse(
         raise InputError("jobs must be a number of processes, or -1 for all processors, not 0")
     machine = Machine.of(machine).with_only({})
     scope = Scope.of(machine, *_sheets_to_read(machine, sheet, owns))
+    check_tolerances(scope)
     journal = None if out is None else _Journal(Path(out), scope, seed, campaigns)
     outcomes = _run_campaigns(scope, campaigns, seed, jobs, journal, progress)
     readings = sum(len(sheet) for sheet in scope.sheets)
