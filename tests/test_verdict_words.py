@@ -1,5 +1,6 @@
 """Verdicts hold for what they tell: no word of them contradicts the table below it."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,6 +59,34 @@ def test_a_verdict_and_its_table_agree() -> None:
         own = about.rows.columns(groups[member.name].coefficients)
         off = own - curves.columns @ np.linalg.lstsq(curves.columns, own, rcond=1e-12)[0]
         assert np.abs(off).max() < 1e-12
+
+
+def test_bars_of_one_wrong_length_are_a_cause_beside_drives_that_move_too_little(
+    machine: og.Machine,
+) -> None:
+    """All rods cut 0.8 mm long, eight tolerances: with dials on the legs both fit alike."""
+    rig = Rig().with_errors({f"leg_length.{leg}": 8e-4 for leg in LEGS})
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(1), background=0.0)
+    outcome = studied(campaign_of(rows, machine), machine)
+    assert outcome.word == "ambiguous"
+    (cause,) = outcome.effects
+    size = {one.name: one.values.get(one.name) for one in cause.explanations}
+    assert {"encoder_scale.common", "leg_length.common"} <= set(size)
+    assert size["leg_length.common"] == pytest.approx(8e-4, rel=0.3)
+
+
+def test_a_cause_that_is_one_of_several_is_told() -> None:
+    """None of them is more probable than not, and together they are."""
+    rig = Rig().with_errors({"bar_mismatch.y": 2e-4})
+    rows = rc.simulate(rig, "sweep", np.random.default_rng(1), background=0.0)
+    verdict = og.close_loop(campaign_of(rows))
+    assert verdict.word == "diffuse"
+    chances = [one.probability for one in verdict.possible]
+    assert sum(chances[:-1]) < 0.5 < sum(chances)
+    others = f"or 1 other cause: their probability is {compact(sum(chances), 2)}."
+    assert re.search(rf"Perhaps .*, {others}", headline(verdict))
+    (test,) = (one for one in verdict.actions if one.kind == "confirm")
+    assert len(test.options) == len(chances)
 
 
 def test_warmth_between_repeats_takes_nothing_of_the_means() -> None:

@@ -226,8 +226,8 @@ def _finding_actions(
             gain, ambiguous = gains.get(name, (0.0, 0.0)), len(options) + len(finding.data) > 1
             words = _REPAIR_IF_DATA_HOLD if finding.data else _REPAIR
             yield Action(kind, words, *gain, options, ambiguous, ambiguous and plate)
-    for cause in outcome.possible if outcome.word != "unexplained" else ():
-        options = (Suspect(cause.words, cause.look_at, cause.confirm),)
+    if outcome.possible and outcome.word != "unexplained":
+        options = tuple(Suspect(c.words, c.look_at, c.confirm) for c in outcome.possible)
         yield Action("confirm", _TEST_LIKELY, options=options)
     for change in outcome.moved:
         outdated = _FILES_OUTDATED.format(change.files[1])

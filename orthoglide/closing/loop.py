@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.closing.validation import validate, validation_readings
 from orthoglide.explanation import (
@@ -15,6 +17,7 @@ from orthoglide.explanation import (
     posterior_lack_of_fit,
 )
 from orthoglide.explanation.assumed_noise import with_refuted_noise_enlarged
+from orthoglide.explanation.causes import smallest_count
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
@@ -155,8 +158,11 @@ def _reported_sets(
     # A single cause on an otherwise sound machine (`alone`) cannot explain a residual that the
     # verdict calls unexplained, so it is reported only after the verdicts adequate and diffuse.
     alone = sets.alone if word in ("adequate", "diffuse") else ()
-    least = 0.0 if word == "unexplained" else EVEN_PROBABILITY
-    possible = tuple(one for one in sets.possible if one.probability > least)
+    possible = sets.possible
+    if word != "unexplained":  # the fewest that are together more probable than not
+        odds = np.array([one.probability for one in possible])
+        possible = possible[: smallest_count(odds, EVEN_PROBABILITY)]
+        possible = possible if odds.sum() > EVEN_PROBABILITY else ()
     return replace(sets, alone=alone, possible=possible), word
 
 

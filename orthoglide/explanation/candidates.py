@@ -156,10 +156,11 @@ def coefficient_spans(errors: Sequence[FreeForm], first: int = 0) -> dict[str, N
     return {error.name: np.arange(start, end) for error, (start, end) in spans}
 
 
-def _entered_common_causes(
+def _common_base_causes(
     full_problem: Problem, base_count: int
 ) -> Iterator[tuple[Candidate, float]]:
-    """Yield the common causes whose size an owner entered, with that size in tolerances of a part.
+    """Yield the common errors of the base, zeros excepted, each with its size in tolerances of a
+    part: that which an owner entered, or one. All rods may be cut to one wrong length.
 
     Causes that an earlier calibration determined are left out.
 
@@ -170,7 +171,9 @@ def _entered_common_causes(
     machine, names = full_problem.machine, full_problem.names[:base_count]
     earlier = full_problem.earlier_posterior
     prior_names = () if earlier is None else earlier.names
-    for effect, sd in machine.spec.entered.items():
+    sizes = {e: machine.tolerance(e) for e in dict.fromkeys(n.effect for n in names)
+             if machine.catalogue[e].controller != "zero"}  # fmt: skip
+    for effect, sd in (sizes | machine.spec.entered).items():
         effect_names = [n for n in names if n.effect == effect]
         if any(n in prior_names for n in effect_names):
             continue
@@ -205,7 +208,7 @@ def build_groups(
     factor = np.array([target[n][1] for n in visible])
     is_named = np.array([n not in replacements for n in visible], dtype=bool)
     groups = []
-    for cause, unit in _entered_common_causes(full_problem, base_count):
+    for cause, unit in _common_base_causes(full_problem, base_count):
         rows = weight_matrix(names, cause.weights)
         moved = np.flatnonzero(rows.any(axis=1))
         if np.linalg.norm(columns[:, moved] @ rows[moved]) * unit > _LEAST_SIGNAL:

@@ -93,7 +93,11 @@ def finding_text(result: Result) -> str:
         )
     first = _zeros_sentence(result)
     if result.possible:
-        cause = result.possible[0]
+        cause, *others = result.possible
+        if others:
+            together = compact(sum(one.probability for one in result.possible), 2)
+            rivals = f"{len(others)} other cause{'s' * (len(others) > 1)}"
+            return f"{first}Perhaps {cause.words}, or {rivals}: their probability is {together}."
         return (
             f"{first}Perhaps {cause.words}: its probability is {compact(cause.probability, 2)}, "
             f"too low for a correction."
