@@ -57,6 +57,16 @@ def test_faults_of_the_data_are_told_with_their_lines(machine: og.Machine) -> No
     assert fault.message in unescape(changes_page(found))
 
 
+def test_a_dial_that_counted_the_other_way_is_no_change_of_the_machine(
+    machine: og.Machine,
+) -> None:
+    """Together with the old readings another label and other zeros explained them as well."""
+    turned, _ = rc.swapped_sign(rows(2, "sweep", **{"joint_offset.z": -7e-4}), "yz-0.5")
+    found = compared(machine, rows(1, "sweep", **{"joint_offset.z": -7e-4}), turned)
+    assert [fault.kind for fault in found.with_changes.blunders] == ["sign"]
+    assert not any(d.is_significant for d in found.differences), str(found)
+
+
 def test_where_nothing_changed_it_says_how_sure_that_is(machine: og.Machine) -> None:
     found = compared(machine, rows(1), rows(2))
     assert not [d for d in found.differences if d.changed]

@@ -155,9 +155,10 @@ def check(
     """Compare two states of a machine by their readings.
 
     Each state is closed by itself; an error that is located in either has a size in both. Then both
-    are closed together, so that all readings determine unchanged parameters, and changes are
-    searched jointly. Every parameter of the base and of the causes found gets one value before and
-    one after, which bounds the change of all others. The verdict is that of the new readings alone.
+    are closed together, with their data faults corrected, so that all readings determine unchanged
+    parameters, and changes are searched jointly. Every parameter of the base and of the causes
+    found gets one value before and one after, which bounds the change of all others. The verdict
+    is that of the new readings alone.
 
     Args:
         old: readings of the old state, in the order they were taken; paths are read as by
@@ -198,7 +199,8 @@ def _comparison(
     errors = [*errors_with_size(closed_before, closed)]
     shapes = [one.shape for one in errors if one.shape.name not in request.machine.catalogue]
     machine = request.machine.with_effects(shapes)
-    together = compute_outcome(replace(request, machine=machine), progress)
+    given = tuple(_with_faults_corrected(request.given, (closed_before, closed)))
+    together = compute_outcome(replace(request, given=given, machine=machine), progress)
     old_names, new_names = (tuple(c.name for c in side) for side in (before, after))
     jointly = (
         len(request.given) == len(before) + len(after) and len(visits(together.before.problem)) > 1
@@ -229,6 +231,18 @@ def _comparison(
         plate_moves(together.after.problem, together.after.x, old_names, new_names),
         gone + sized_gone, come + sized_come, tuple(resized(closed_before, closed)),
     )  # fmt: skip
+
+
+def _with_faults_corrected(
+    given: Iterable[Readings], closed: Iterable[RunOutcome]
+) -> Iterator[Readings]:
+    """Yield the readings as the states that were closed by themselves use them: with their data
+    faults corrected. Else a change of the machine could explain a fault of one state.
+    """
+    factors = (factor for outcome in closed for factor in outcome.before.problem.factors)
+    used = {(factor.name, factor.on_legs): factor.readings for factor in factors}
+    for table in given:
+        yield used.get((table.name, bool(table.on_legs.all())), table)
 
 
 def verdict_with_changes(closed: RunOutcome, changes: Iterable[Change]) -> Verdict:
