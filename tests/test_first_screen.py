@@ -24,6 +24,7 @@ from orthoglide.parameters import Parameter
 from orthoglide.report.claims import probability_words
 from orthoglide.report.page import budget, render_template
 from orthoglide.report.rows import _rms_change
+from orthoglide.report.sentences import _comparison_with_noise
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Cause, Explanation, Suspect
 from orthoglide.verdict import Verdict
@@ -322,6 +323,24 @@ def test_what_does_not_fall_is_not_said_to_fall(now: float, said: str) -> None:
     """It had hardly fallen, from 0.005 to 0.006 mm."""
     was, is_now = (SimpleNamespace(reported=ByUnit(v, float("nan"))) for v in (5e-6, now))
     assert _rms_change(was, is_now) == said  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("residual", "said"),
+    [(0.0071, "more than the noise"), (0.0058, "consistent with the noise"),
+     (0.0056, "consistent with the noise")],
+)  # fmt: skip
+def test_what_is_not_larger_is_not_said_to_be_more(residual: float, said: str) -> None:
+    """Of single readings; averages of repeats may be off by more all the same."""
+    scores = SimpleNamespace(left=SimpleNamespace(shown={"mm": residual}), deviation_rms=1e-6)
+    result = SimpleNamespace(
+        request=SimpleNamespace(points=()), warnings=(),
+        noise=SimpleNamespace(single_reading=SimpleNamespace(shown={"mm": 0.0058})),
+        after=SimpleNamespace(scores=scores, sigma_scale=1.2),
+    )  # fmt: skip
+    text = _comparison_with_noise(result)  # type: ignore[arg-type]
+    assert f", {said} of the dial (0.00" in text
+    assert ("averages of repeats are off by more" in text) == (said[:4] != "more")
 
 
 def test_a_question_on_where_to_look_ends_its_sentence() -> None:

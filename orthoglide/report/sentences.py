@@ -182,9 +182,13 @@ def _comparison_with_noise(result: Result) -> str:
     if any(w.kind == "side" for w in result.warnings):
         reference = "the scatter of repeats, which is noise of the readings or lost motion"
     if result.after.sigma_scale > 1:
+        is_larger = any(float(said) > float(of_noise) for _, (said, of_noise) in figures)
+        compared = f"more than {reference}"
+        if not is_larger:
+            compared = f"consistent with {reference}, but averages of repeats are off by more"
         return (
-            f"{single}, more than {reference}. Each likely explanation fits the readings; their "
-            f"mean, which is the calibrated machine, does not quite"
+            f"{single}, {compared}. Each likely explanation fits the readings; their mean, which "
+            f"is the calibrated machine, does not quite"
         )
     return f"{single}, consistent with {reference}"
 
