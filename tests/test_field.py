@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper import Imported
 from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 from orthoglide.report.claims import claims
@@ -24,6 +25,11 @@ def closed(folder: str, file: str) -> og.Verdict:
     """The readings that a printer's file holds, closed."""
     found = og.import_printer(FIELD / folder / file)
     return og.close_loop(found.campaigns, og.Machine(found.machine))
+
+
+def arms_of(corrections: Corrections) -> list[float]:
+    """The new arms, millimetres."""
+    return [float(new) for name, _, new in corrections.rows if "arm_length" in name]
 
 
 @pytest.mark.parametrize(
@@ -189,10 +195,11 @@ def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     verdict = closed("quiet-mesh", "printer.cfg")
     assert verdict.word == "adequate"
     assert not verdict.blunders
-    # Import would say of these numbers that rods of one set are not so: so does what offers them.
-    assert re.search(
-        r"the new arms differ by 1\.\d+ mm.*: measure the rods", verdict.actions[0].words
-    )
+    # Distances that scatter made arms of three lengths of rods of one set, 1 mm apart.
+    corrections = verdict.corrections
+    assert corrections is not None
+    assert not corrections.keep
+    assert np.ptp(arms_of(corrections)) < 0.5
 
 
 def test_drives_of_three_per_cent_are_told_of_the_drives() -> None:
@@ -309,8 +316,71 @@ def test_new_numbers_keep_to_rods_that_were_measured(rods: float) -> None:
     corrections = verdict.corrections
     assert corrections is not None
     assert "measure a rod" not in corrections.words
-    arms = [float(new) for name, _, new in corrections.rows if "arm_length" in name]
-    assert np.mean(arms) == pytest.approx(rods, abs=0.3)
+    assert np.mean(arms_of(corrections)) == pytest.approx(rods, abs=0.3)
+
+
+def measured(folder: str, lengths: str, table: str = "klipper") -> og.Verdict:
+    """The readings of a printer's file closed, with lengths under [measured]."""
+    found = og.import_printer(FIELD / folder / "printer.cfg")
+    kept = {k: v for k, v in found.machine.provenance.items() if k == table}
+    file = machine_text(replace(found.machine, provenance=kept)) + f"\n[measured]\n{lengths}\n"
+    return og.close_loop(found.campaigns, og.Machine(parse_machine_file(file)))
+
+
+def test_measured_rods_change_all_numbers_of_the_firmware() -> None:
+    """They were believed, and that the firmware has others was never said: nothing was wrong."""
+    verdict = measured("print-shrunk-with-mesh", "rods_mm = [215.0, 0.1]")
+    said, corrections = headline(verdict), verdict.corrections
+    assert said.startswith("The rods measure 215.0 mm, the controller has 213.1 mm: all its sizes")
+    assert "Nothing is wrong" not in said
+    assert corrections is not None
+    assert not corrections.keep  # though the distances of the part that shrank fit worse
+    assert arms_of(corrections) == pytest.approx([215.0] * 3, abs=0.05)
+    assert "make the rods longer, 215.0 mm, as was measured" in corrections.words
+    (size,) = (str(w) for w in verdict.warnings if "than the tool's moves" in str(w))
+    assert "by the measured rods, distances are 0.77 ± 0.22 % shorter" in size
+
+
+def test_sizes_that_were_measured_leave_the_radius_free() -> None:
+    """The radius was fitted with the rods that were entered, and errs as they do."""
+    found = og.import_printer(FIELD / "rods-entered-4mm-short" / "printer.cfg")
+    radial = {f"axis_offset.{leg}.radial" for leg in "abc"}
+
+    def common_sd(machine: og.MachineFile) -> float:
+        problem = og.identify(found.campaigns, og.Machine(machine)).problem
+        matrix, _ = problem.prior_rows
+        columns = [n in radial for n in problem.names]
+        covariance = np.linalg.inv(matrix.T @ matrix)[np.ix_(columns, columns)]
+        return float(np.sqrt(covariance.mean()))
+
+    file = machine_text(found.machine) + "\n[measured]\nrods_mm = [272.0, 0.1]\n"
+    assert common_sd(parse_machine_file(file)) == pytest.approx(common_sd(found.machine), rel=0.02)
+
+
+def test_travel_that_was_measured_comes_before_all_numbers() -> None:
+    verdict = measured("print-shrunk-with-mesh", "travel_of_100_mm = [101.2, 0.05]")
+    said = "Carriages move 101.20 mm at a command of 100 mm: first multiply rotation_distance by 1"
+    assert headline(verdict).startswith(said)
+    assert verdict.actions[0].words.startswith(said)
+    assert "Run DELTA_CALIBRATE" in verdict.actions[0].words
+    assert not [action for action in verdict.actions if action.kind == "zeros"]
+
+
+def test_measured_lengths_that_contradict_the_controller_are_noted_without_a_firmware() -> None:
+    verdict = measured("rods-entered-4mm-short", "rods_mm = [272.0, 0.1]", table="")
+    (note,) = (str(w) for w in verdict.warnings if "rods measure" in str(w))
+    assert "the rods measure 272.0 mm, the controller has 268.0 mm" in note.lower()
+
+
+def test_a_part_that_shrank_does_not_turn_the_rods_the_wrong_way() -> None:
+    """Its distances had made the arms 1.9 mm too short, and made the new ones shorter still."""
+    verdict = closed("print-shrunk-with-mesh", "printer.cfg")
+    corrections = verdict.corrections
+    assert corrections is not None
+    assert not corrections.keep
+    assert arms_of(corrections) == pytest.approx([215.0] * 3, abs=0.7)
+    why = "make the rods longer, as the heights ask, and no distance does: measure a rod first"
+    assert re.search(rf"{why}; along the plate 0\.2\d ± 0\.1\d mm are gained", corrections.words)
 
 
 def test_a_part_of_metal_says_how_long_the_rods_are() -> None:

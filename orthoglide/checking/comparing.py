@@ -120,7 +120,9 @@ class Check(Framed):
         beyond = [d.unchanged_clause for d in unchanged if d.is_significant]
         sentences = [*self.places, *(change.what for change in changed), *self.lying]
         if within:
-            sentences.append(f"{what} changed beyond its uncertainty: {', '.join(within)}")
+            what += " changed beyond its uncertainty"
+            what += ", if it was the plate or the probe" * bool(self.moves)
+            sentences.append(f"{what}: {', '.join(within)}")
         if beyond:
             sentences.append(
                 f"these differ between the two states, each closed by itself, but a fit of all "

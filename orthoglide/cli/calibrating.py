@@ -198,7 +198,7 @@ def _run(
         from orthoglide.text import printable_path
         from orthoglide.verdict import build_request, run
 
-        robot = machine.load()
+        robot = machine.load(doubts=False)
         tcp_points = (read_tcp(path, robot.spec) for path in fit_tcp)
         name = printable_path(machine.effects_file.name) if machine.effects_file else ""
         options |= {"command": command, "effects_file": name}

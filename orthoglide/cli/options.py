@@ -130,10 +130,10 @@ class MachineOption:
                 text = text.replace(f"{option} {file}", f"{option} {shell_path(path)}")
         return text
 
-    def load(self) -> Machine:
-        """Return the machine, and print warnings about its file."""
+    def load(self, doubts: bool = True) -> Machine:
+        """Return the machine, and print warnings, without ``doubts`` those that begin a result."""
         machine = self.read()
-        warn_of(machine)
+        warn_of(machine, doubts=doubts)
         return machine
 
     def read(self) -> Machine:
@@ -143,12 +143,12 @@ class MachineOption:
         return Machine.of(self.path, self.effects)
 
 
-def warn_of(machine: Machine, *, covariance: bool = True) -> None:
+def warn_of(machine: Machine, *, covariance: bool = True, doubts: bool = True) -> None:
     """Print warnings about a machine's file; without ``covariance`` not that this is missing."""
     printer = machine.spec.printer
-    doubts = "" if printer is None else printer.doubts(machine)
+    text = printer.doubts(machine) if doubts and printer is not None else ""
     notes = (n for n in machine.spec.warnings if covariance or n.kind != "covariance")
-    warn(tuple(filter(None, (doubts, *notes))))
+    warn(tuple(filter(None, (text, *notes))))
 
 
 def machine(required: bool = False) -> Decorator:

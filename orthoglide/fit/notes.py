@@ -18,6 +18,7 @@ from orthoglide.numerals import compact, with_sigma
 from orthoglide.observations import Readings, source
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
 from orthoglide.observations.tables import copied_files, repeat_steps
+from orthoglide.text import lower_first
 
 _CHANCE = 1e-3  # probability of an outlier note on a campaign of sound readings
 _NEARLY_MAX = 0.999  # share of the largest noise that roughness may count as
@@ -37,8 +38,12 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     problem, scores = estimate.problem, estimate.scores
     tables = [f.readings for f in problem.factors]
     collected = [Note(text, "machine") for text in problem.machine.warnings]
-    if (printer := problem.machine.spec.printer) is not None:
+    spec = problem.machine.spec
+    if (printer := spec.printer) is not None:
         collected += printer.imported({table.name for table in tables})
+    else:  # whose firmware the controller is, and says it first
+        texts = filter(None, spec.measured.contradictions(spec.geometry.L))
+        collected += [Note(lower_first(text[:-1]), "measured") for text in texts]
     for table in tables:
         file = f"{source(table)}: " if len(tables) > 1 else ""
         collected += [Note(file + text, "campaign") for text in table.warnings]
@@ -60,7 +65,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     else:
         collected += outlier_notes(estimate)
     collected += [*small_residuals(estimate), *large_noise_notes(estimate)]
-    collected += [*noisy_repeats(estimate), *part_size_notes(problem), *placement_notes(estimate)]
+    collected += [*noisy_repeats(estimate), *part_size_notes(estimate), *placement_notes(estimate)]
     for name in estimate.on_bound:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
@@ -226,20 +231,21 @@ _SIZE_ADVICE = (
 _MEAN_SIZE_SENTENCE = "printed parts are usually {} % smaller than commanded"
 
 
-def part_size_notes(problem: Problem) -> Iterator[Note]:
+def part_size_notes(estimate: Estimate) -> Iterator[Note]:
     """Yield the measured scale of every file's printed parts with its standard deviation."""
-    for factor in problem.tool_factors:
+    for factor in estimate.problem.tool_factors:
         rows = [s.material == PRINTED for s in factor.readings.setups]
         printed = factor.readings.paired & np.array(rows)[factor.setup] & factor.noise.weighted
         if printed.sum() > 1:
-            yield _part_size_note(problem, factor.subset(printed))
+            yield _part_size_note(estimate, factor.subset(printed))
 
 
-def _part_size_note(problem: Problem, factor: Factor) -> Note:
+def _part_size_note(estimate: Estimate, factor: Factor) -> Note:
     """Return the scale of a printed part, by least squares with the offsets of its setups."""
-    machine, (mean, sd) = problem.machine, SHRINKAGE_BY_MATERIAL[PRINTED]
-    # Only nominal values: the firmware's rods belong to its radius.
-    values = {n: e.value for n, e in machine.spec.parameters.items() if not e.sigma}
+    machine, (mean, sd) = estimate.problem.machine, SHRINKAGE_BY_MATERIAL[PRINTED]
+    values, rods = estimate.machine.values, machine.spec.measured.rods
+    if not rods:  # only nominal values: the firmware's rods belong to its radius
+        values = {n: e.value for n, e in machine.spec.parameters.items() if not e.sigma}
     linear = factor.linearise(machine.model, values, ())
     nuisance = factor.nuisances(linear.reading_poses)
     # Scale, the only nuisance that setups share, comes first; it has no prior here.
@@ -251,10 +257,11 @@ def _part_size_note(problem: Problem, factor: Factor) -> Note:
     scale, sigma = float((covariance @ rows.T @ target)[0]), float(np.sqrt(covariance[0, 0]))
     size = (1 - mean) * (1 + scale) - 1
     text = (
-        f"{source(factor.readings)}: by the nominal numbers of the machine file, distances are "
+        f"{source(factor.readings)}: by the "
+        f"{'measured rods' if rods else 'nominal numbers of the machine file'}, distances are "
         f"{with_sigma(abs(size) * 1e2, sigma * 1e2)} % {'longer' if size > 0 else 'shorter'} "
         f"than the tool's moves; {_MEAN_SIZE_SENTENCE.format(with_sigma(mean * 1e2, sd * 1e2))}"
     )
     beyond = abs(scale) > CERTAIN_SIGMAS * float(np.hypot(sigma, sd))
-    unexplained = beyond and not machine.spec.measured.rods
+    unexplained = beyond and not rods
     return Note(f"{text}: {_SIZE_ADVICE}" if unexplained else text, "size")

@@ -268,10 +268,13 @@ class Problem:
         """Prior rows of the unknowns whose priors are correlated, matrix ``(k, P)`` and target
         ``(k,)``, and which unknowns these are ``(P,)``.
         """
-        if self.earlier_posterior is not None:
-            return posterior_rows(self.earlier_posterior, self.unknowns)
-        shared = self.machine.spec.shared_errors
-        return shared_error_rows(self.unknowns, self.prior_sd, shared)
+        errors = self.machine.spec.shared_errors  # of a radius, say, fitted with wrong rods
+        if (earlier := self.earlier_posterior) is None:
+            return shared_error_rows(self.unknowns, self.prior_sd, errors)
+        shared = [(weights, sd) for weights, sd in errors if set(weights).isdisjoint(earlier.names)]
+        matrix, target, covered = posterior_rows(earlier, self.unknowns)
+        others, zeros, in_shared = shared_error_rows(self.unknowns, self.prior_sd, shared)
+        return np.vstack([others, matrix]), np.append(zeros, target), covered | in_shared
 
     @cached_property
     def start(self) -> Array:

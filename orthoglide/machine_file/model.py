@@ -151,6 +151,11 @@ _MAX_RELATIVE_DEVIATION = 0.5  # from the nominal length: beyond, the unit or th
 Pair = tuple[float, float]
 
 
+def _differs(measured: Pair, nominal: float) -> bool:
+    """Return whether a measured length differs from the nominal one beyond the uncertainty."""
+    return abs(measured[0] - nominal) > max(2 * measured[1], _DRIVE_SCALE_SD * nominal)
+
+
 @dataclass(frozen=True)
 class Measured:
     """Measured lengths with their standard deviations."""
@@ -158,6 +163,22 @@ class Measured:
     rods: Pair | None = None  # mean length of the bars between their pivots, metres
     # mean travel of the carriages at a command of `MEASURED_TRAVEL`, metres
     travel: Pair | None = None
+
+    def contradictions(self, nominal_rods: float) -> tuple[str, str]:
+        """Return that travel, and that rods, differ from those by which the controller computes, a
+        sentence each, empty if they do not.
+        """
+        travel, rods = self.travel or (MEASURED_TRAVEL, 0.0), self.rods or (nominal_rods, 0.0)
+        of_travel = (
+            f"Carriages move {travel[0] * 1e3:.2f} mm at a command of 100 mm: first multiply "
+            f"rotation_distance by {travel[0] / MEASURED_TRAVEL:.4f}, or divide the steps per "
+            f"millimetre by it."
+        )
+        of_rods = (
+            f"The rods measure {rods[0] * 1e3:.1f} mm, the controller has "
+            f"{nominal_rods * 1e3:.1f} mm: all its sizes were fitted with these, and change."
+        )
+        return of_travel * _differs(travel, MEASURED_TRAVEL), of_rods * _differs(rods, nominal_rods)
 
     def parameter_priors(
         self, catalogue: Catalogue, geometry: Geometry, tolerance: Mapping[str, float]

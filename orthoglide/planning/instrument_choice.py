@@ -178,6 +178,8 @@ def _proposals(problem: Problem) -> Iterator[ReadingProposal]:
             instrument_sheet(problem.machine, i.kind, length), problem.machine
         )
         brief, how = i.instrument_phrase, i.suggestion_suffix
+        if i.paired and any(f.readings.paired.any() for f in problem.tool_factors):
+            brief = f"more {brief}"
         hint = _SHEET_HINT.format(i.kind, MACHINE_OPTION)
         if length:
             mm = f"{length * 1e3:.0f}"

@@ -120,7 +120,9 @@ def _zeros_sentence(result: Result) -> str:
     """Return the sentence that zeros or firmware numbers are off, if that is the finding."""
     sizes = [a for a in result.actions if a.kind == "mend" and not a.options]
     of_base = [a for a in result.actions if a.kind == "zeros"] or sizes
-    if result.nominal.rms < _ZEROS_FIRST_RATIO * result.before.scores.rms or not of_base:
+    is_finding = result.nominal.rms >= _ZEROS_FIRST_RATIO * result.before.scores.rms
+    # Beside the planes that lists of touches have of their own, endstops leave no residual.
+    if not of_base or not (is_finding or (result.firmware and not result.possible)):
         return ""
     if result.firmware is not None and result.firmware.corrections is not None:
         return f"The firmware's numbers are off, {result.firmware.corrections.words}. "

@@ -19,7 +19,6 @@ from orthoglide.firmware.klipper.importing import import_printer as import_print
 from orthoglide.firmware.klipper.numbers import (
     FIRMWARE_NAME,
     MAX_ROD_SPREAD,
-    TOWERS,
     Numbers,
     make_paste,
     unequal_arms_warning,
@@ -38,7 +37,6 @@ _TOUCH_ADVICE = (
     "Touch the plate too, out to its rim, for numbers for the firmware: its z = 0 is the plate"
 )
 _FIRMWARE_NUMBERS = "three endstops, one radius, three angles and three arms"
-_EQUAL_ARMS = 1.5e-4  # metres from the stored arms: less than half of the spread
 _ROUNDING = 2e-6  # metres by which lengths of the file may be rounded
 _FILE = re.compile(r"(\S+)\.csv\b")
 _ASSUMED_SIZES = {
@@ -71,11 +69,6 @@ class Printer:
     def meshes_relative(self) -> bool:
         """Whether the firmware subtracts the height at one place from every mesh."""
         return bool(self.table.get("meshes_relative"))
-
-    @property
-    def calibrate_again(self) -> bool:
-        """Whether the firmware's own calibration is to be run again before anything is entered."""
-        return bool(self.table.get("calibrate_again"))
 
     @property
     def changed_since(self) -> tuple[str, ...]:
@@ -118,21 +111,15 @@ class Printer:
         return ()
 
     def doubts(self, machine: Any) -> str:
-        """Return a warning that the stored arms cannot be one set of rods; empty if they can.
+        """Return warnings that the stored sizes are not the machine's; empty if they may be."""
+        travel, _ = machine.spec.measured.contradictions(machine.geometry.L)
+        return f"{travel} {self._doubt_of_rods(machine)}".strip()
 
-        There is none either if the machine file declares the arms as measured: by a sigma beside
-        lengths near the stored ones.
-        """
-        if np.ptp(self.numbers.arm) <= MAX_ROD_SPREAD or machine.spec.measured.rods:
-            return ""
-        effect = next(e.name for e in machine.catalogue.effects if e.controller == "bar_length")
-        errors = [machine.spec.parameters.get(f"{effect}.{tower}") for tower in TOWERS]
-        measured = all(
-            error is not None and error.sigma > 0
-            and abs(error.value - (arm - machine.geometry.L)) <= _EQUAL_ARMS
-            for error, arm in zip(errors, self.numbers.arm, strict=True)
-        )  # fmt: skip
-        return "" if measured else unequal_arms_warning(self.numbers)
+    def _doubt_of_rods(self, machine: Any) -> str:
+        """Return a warning that the stored arms are not the rods; empty if they may be."""
+        if machine.spec.measured.rods or np.ptp(self.numbers.arm) <= MAX_ROD_SPREAD:
+            return str(machine.spec.measured.contradictions(machine.geometry.L)[1])
+        return unequal_arms_warning(self.numbers)
 
     def imported(self, names: Collection[str]) -> Iterator[Note]:
         """Yield the remarks of the import for a result of readings of these names.
@@ -182,16 +169,22 @@ class Printer:
         from orthoglide.firmware.klipper.new_numbers import new_numbers
 
         return new_numbers(
-            self.numbers, machine, readings, self.meshes_relative, self.calibrate_again
+            self.numbers, machine, readings, self.meshes_relative, bool(self._again(machine))
         )
+
+    def _again(self, machine: Any) -> str:
+        """Return that the firmware's own calibration comes first, in sentences; else empty."""
+        travel, _ = machine.spec.measured.contradictions(machine.geometry.L)
+        again = travel or self.table.get("calibrate_again")
+        return f"{travel} {_CALIBRATE_FIRST}".lstrip() if again else ""
 
     def section(
         self, given: Any, calibrated: Any, corrections: Corrections | None, causes: Sequence[Any]
     ) -> Section:
         """Return the report's section on a calibrated machine."""
-        again = _CALIBRATE_FIRST if self.calibrate_again else ""
+        again = self._again(calibrated)
         reasons = self.changed_since or (again,)
-        first = " ".join(filter(None, (*reasons, self.doubts(calibrated))))
+        first = " ".join(filter(None, (*reasons, self._doubt_of_rods(calibrated))))
         catalogue, numbers = given.catalogue, dict[str, Any]()
         beyond = tuple(
             f"{c.words}: {c.confirm or f'look at {c.look_at}'}" for c in causes

@@ -19,11 +19,14 @@ from orthoglide.firmware.klipper.numbers import (
     CALIBRATION,
     Numbers,
     ResidualChange,
+    Triple,
     corrections_of,
     make_record,
 )
 from orthoglide.geometry import Array, fit_plane, plane_columns
+from orthoglide.instruments import PRINTED
 from orthoglide.machine import Machine
+from orthoglide.numerals import signed, with_sigma
 from orthoglide.observations import Readings
 
 _MIN_GAIN = 0.05  # share of a residual: numbers that gain less are not worth entering
@@ -44,8 +47,7 @@ _LATERAL_WEIGHT = 0.03
 """Weight of an error along the plate against one of height: layers of a print are a tenth of a
 millimetre high, and touches hardly determine the place of the tool along the plate."""
 
-_DISTANCE_WEIGHT = 0.5  # against a height: a caliper is two to five times as noisy
-_COUNT_WITHOUT_ARMS, _COUNT_WITH_ARMS = 6, 9  # fitted numbers, in the order of `Numbers.changed`
+_FITTED_COUNT = 6  # numbers, in the order of `Numbers.changed`
 _RECALIBRATE_FIRST = "DELTA_CALIBRATE comes first, as is said at the top"
 _FIT_TOLERANCE = 1e-13  # relative changes at which a fit ends, close to rounding
 
@@ -62,10 +64,10 @@ def new_numbers(
     beyond its middle.
 
     With the new numbers, the firmware computes places of the nozzle over the plate nearest to those
-    of the calibrated machine; the plate is z = 0. Measured distances are fitted with them.
+    of the calibrated machine; the plate is z = 0. Arms are those of the firmware, or those of the
+    machine if these are expected to be clearly better.
     """
     touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
-    paired = [c.subset(np.flatnonzero(c.paired)) for c in campaigns if c.paired.any()]
 
     def nozzle(command: Array) -> tuple[Array, Array]:
         pose = machine.pose(command)
@@ -86,22 +88,39 @@ def new_numbers(
     def residuals(numbers: Numbers) -> Array:
         error = _firmware_points(numbers, old, commands) - points
         along = _LATERAL_WEIGHT * _without_rigid_motion(points, error[:, :2])
-        distances = [_DISTANCE_WEIGHT * _distance_residuals(numbers, old, c) for c in paired]
-        return np.concatenate([error[:, 2], along.ravel(), *distances])
+        return np.concatenate([error[:, 2], along.ravel()])
 
-    start = replace(old, arm=_calibrated_arms(old, machine))
-    rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
-    count = _COUNT_WITH_ARMS if paired and not rods_measured else _COUNT_WITHOUT_ARMS
-    new = _fit_numbers(start, residuals, count)
+    relative = meshes_relative and all(t.name != CALIBRATION for t in touched)
+
+    def drawn(numbers: Numbers) -> Array:
+        return _drawn_rms(machine, _commands(numbers, old, points), wanted, relative)
+
+    new = _fit_numbers(old, residuals)
+    keep = lack_of_expected_gain(before := drawn(old), after := drawn(new))
+    rearmed = _fit_numbers(replace(old, arm=_calibrated_arms(machine)), residuals)
+    if not lack_of_expected_gain(before if keep else after, drawn(rearmed)):
+        new, keep = rearmed, ""
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
-    keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason(changes)
-    if not keep:
-        relative = meshes_relative and all(t.name != CALIBRATION for t in touched)
-        before, after = (
-            _drawn_rms(machine, _commands(n, old, points), wanted, relative) for n in (old, new)
-        )
-        keep = lack_of_gain(float(np.mean(before - after)), float(np.std(before - after)))
-    return corrections_of(old, make_record(old, new, changes, keep, rods_measured))
+    judged = residual_changes(old, new, campaigns, meshes_relative, free_size=True)
+    keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged]) or keep
+    rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
+    along = before[1] - drawn(new)[1]
+    gain = float(along.mean()), float(along.std())
+    return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain))
+
+
+def lack_of_expected_gain(before: Array, after: Array) -> str:
+    """Return why numbers are not expected to be better, a clause; empty if they are. Before and
+    after them, `_drawn_rms` are ``(2, draws)``, metres.
+    """
+    weighted = (np.hypot(height, _LATERAL_WEIGHT * along) for height, along in (before, after))
+    gain, loss = np.subtract(*weighted), 1e3 * (after[1] - before[1])
+    if reason := lack_of_gain(float(np.mean(gain)), float(np.std(gain))):
+        return reason
+    if loss.mean() <= loss.std():
+        return ""
+    size = with_sigma(float(loss.mean()), float(loss.std()))
+    return f"the tool is expected to err by {size} mm more along the plate"
 
 
 def rejection_reason(changes: Sequence[ResidualChange]) -> str:
@@ -110,13 +129,14 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
     They are better if they fit some readings better by more than chance, and none worse.
     """
     touches = sum(c.count for c in changes if c.kind == "heights")
-    if touches <= _COUNT_WITHOUT_ARMS:
+    if touches <= _FITTED_COUNT:
         return (
-            f"{_COUNT_WITHOUT_ARMS} numbers fit any {touches} touches of the plate, right or "
+            f"{_FITTED_COUNT} numbers fit any {touches} touches of the plate, right or "
             f"wrong: touch it at more places"
         )
     if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
-        return _residual_clause(worse[0], "rises")
+        again = f"; it is largest at {worse[0].largest}: take that reading again"
+        return f"{_residual_clause(worse[0], 'rises')}{again * bool(worse[0].largest)}"
     if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
         most = min(changes, key=lambda c: c.new - c.old)
         return f"{_residual_clause(most, 'goes')}, which is no more than chance"
@@ -144,20 +164,26 @@ def _is_more_than_chance(change: ResidualChange) -> bool:
 
 
 def residual_changes(
-    old: Numbers, new: Numbers, campaigns: Sequence[Readings], meshes_relative: bool
-) -> Iterator[ResidualChange]:
-    """Yield the residuals of each file's touches and distances with the old and new numbers."""
+    old: Numbers, new: Numbers, campaigns: Sequence[Readings], meshes_relative: bool,
+    free_size: bool = False,
+) -> Iterator[ResidualChange]:  # fmt: skip
+    """Yield the residuals of each file's touches and distances with the old and new numbers.
+
+    With ``free_size`` the size of printed parts, which shrink by an unknown share, is fitted.
+    """
     for campaign in campaigns:
         for kind, rows in (("heights", campaign.touching), ("distances", campaign.paired)):
             if rows.any():
                 part = campaign.subset(np.flatnonzero(rows))
-                residuals = [
-                    _distance_residuals(numbers, old, part) if kind == "distances"
+                before, after = (
+                    _distance_residuals(numbers, old, part, free_size) if kind == "distances"
                     else _height_residuals(numbers, old, part, meshes_relative)
                     for numbers in (old, new)
-                ]  # fmt: skip
-                before, after = (float(np.sqrt(np.mean(r**2))) for r in residuals)
-                yield ResidualChange(campaign.name, kind, len(part), before, after)
+                )  # fmt: skip
+                first, last = (float(np.sqrt(np.mean(r**2))) for r in (before, after))
+                worst = int(np.argmax(np.abs(after)))
+                largest = f"line {part.line[worst]}, {signed(float(after[worst]) * 1e3, 3)} mm"
+                yield ResidualChange(campaign.name, kind, len(part), first, last, largest)
 
 
 def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:
@@ -175,8 +201,9 @@ def _commands(numbers: Numbers, old: Numbers, points: Array) -> Array:
 
 
 def _drawn_rms(machine: Machine, commands: Array, wanted: Array, relative: bool) -> Array:
-    """Return weighted root mean squares ``(draws,)`` of errors of the nozzle at commands for places
-    on the plate ``(n, 3)``, of machines drawn from the posterior, metres.
+    """Return root mean squares of the errors of height and along the plate ``(2, draws)`` of the
+    nozzle at commands for places on the plate ``(n, 3)``, of machines drawn from the posterior,
+    metres.
 
     Whatever the machine, z = 0 is the plane of its touches: only the machine itself has an error of
     height and slope there, and none of height if ``relative`` says that this is unknown.
@@ -184,8 +211,8 @@ def _drawn_rms(machine: Machine, commands: Array, wanted: Array, relative: bool)
     error, mean = drawn_errors(machine, commands, wanted), machine.forward(commands) - wanted
     height = mean[:, 2] - relative * mean[:, 2].mean()
     height = height + fit_plane(wanted, (error[:, :, 2] - mean[:, 2]).T)[1].T
-    along = _LATERAL_WEIGHT * _without_rigid_motion(wanted, error[:, :, :2])
-    return np.asarray(np.sqrt(np.mean(height**2 + np.sum(along**2, axis=-1), axis=1)))
+    along = _without_rigid_motion(wanted, error[:, :, :2])
+    return np.sqrt([np.mean(height**2, axis=1), np.mean(np.sum(along**2, axis=-1), axis=1)])
 
 
 def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[Array, Array]:
@@ -239,38 +266,37 @@ def _height_residuals(
     return height - height.mean() if meshes_relative and touches.name != CALIBRATION else height
 
 
-def _distance_residuals(numbers: Numbers, old: Numbers, distances: Readings) -> Array:
-    """Return the residuals of distances ``(n,)``, metres."""
-    ends = [_firmware_points(numbers, old, c) for c in (distances.command, distances.second)]
-    return np.asarray(np.linalg.norm(ends[0] - ends[1], axis=1) - distances.reading)
+def _distance_residuals(numbers: Numbers, old: Numbers, part: Readings, free_size: bool) -> Array:
+    """Return the residuals of distances ``(n,)``, metres; `residual_changes` has ``free_size``."""
+    ends = [_firmware_points(numbers, old, c) for c in (part.command, part.second)]
+    residual = np.linalg.norm(ends[0] - ends[1], axis=1) - part.reading
+    printed = np.array([s.material == PRINTED for s in part.setups])[part.setup]
+    size = part.reading * printed * free_size
+    return np.asarray(residual - size * (size @ residual) / max(size @ size, 1e-9))
 
 
-def _calibrated_arms(old: Numbers, machine: Machine) -> tuple[float, float, float]:
-    """Return the arms of the calibrated machine, metres; the stored ones if none differs from them
-    by more than its standard deviation.
-    """
-    lengths, posterior = machine.catalogue.correctable_by("bar_length"), machine.posterior
-    sd = dict(zip(posterior.names, np.sqrt(np.diag(posterior.covariance)), strict=True))
-    by_leg = [[f"{name}.{leg}" for name in lengths] for leg in machine.geometry.leg_names]
-    a, b, c = (machine.geometry.L + sum(machine.values.get(n, 0.0) for n in leg) for leg in by_leg)
-    change = np.abs(np.subtract((a, b, c), old.arm))
-    arm_sd = [np.linalg.norm([sd.get(n, 0.0) for n in leg]) for leg in by_leg]
-    return old.arm if (change <= arm_sd).all() else (a, b, c)
+def _calibrated_arms(machine: Machine) -> Triple:
+    """Return the arms of the calibrated machine, metres."""
+    lengths = machine.catalogue.correctable_by("bar_length")
+    a, b, c = (
+        machine.geometry.L + sum(machine.values.get(f"{name}.{leg}", 0.0) for name in lengths)
+        for leg in machine.geometry.leg_names
+    )
+    return a, b, c
 
 
-def _fit_numbers(start: Numbers, residuals: Callable[[Numbers], Array], count: int) -> Numbers:
-    """Return numbers of which the first ``count`` are fitted by least squares.
+def _fit_numbers(start: Numbers, residuals: Callable[[Numbers], Array]) -> Numbers:
+    """Return numbers fitted by least squares, with the initial arms.
 
     Without a solution, the initial numbers are returned, whose residuals then show no gain.
     """
     from scipy.optimize import least_squares  # which is slow to load
 
-    steps = np.eye(max(count, _COUNT_WITHOUT_ARMS))[:count]
     solution = least_squares(
-        lambda x: residuals(start.changed(x @ steps)), np.zeros(count), "3-point", method="lm",
+        lambda x: residuals(start.changed(x)), np.zeros(_FITTED_COUNT), "3-point", method="lm",
         xtol=_FIT_TOLERANCE, ftol=_FIT_TOLERANCE, gtol=_FIT_TOLERANCE,
     )  # fmt: skip
-    return start.changed(solution.x @ steps) if solution.success else start
+    return start.changed(solution.x) if solution.success else start
 
 
 def _without_rigid_motion(points: Array, along: Array) -> Array:

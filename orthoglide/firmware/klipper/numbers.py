@@ -22,7 +22,7 @@ from orthoglide.firmware.klipper.config import Config
 from orthoglide.geometry import Array
 from orthoglide.layout import LinearDelta
 from orthoglide.machine_file import DeltaKinematics
-from orthoglide.numerals import signed
+from orthoglide.numerals import signed, with_sigma
 from orthoglide.ordering import best_of
 
 TOWERS = LinearDelta.names.legs
@@ -81,13 +81,12 @@ class Numbers:
 
     def changed(self, change: Array) -> Numbers:
         """Return the numbers changed by ``(6,)``: endstops and radius, metres, angles of a and b,
-        radians; or by ``(9,)``, with the arms, metres.
+        radians.
         """
-        arm_change = change[6:] if len(change) > 6 else np.zeros(3)
         return Numbers(
             self.delta_radius + float(change[3]),
             _triple(np.array(self.angle) + np.rad2deg([*change[4:6], 0.0])),
-            _triple(np.array(self.arm) + arm_change),
+            self.arm,
             _triple(np.array(self.endstop) + change[:3]),
         )
 
@@ -214,12 +213,12 @@ def unequal_arms_warning(numbers: Numbers) -> str:
     doubt = ", more than rods of one set do. Measure the rods before you trust any of its numbers"
     return (
         f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
-        f"{doubt * (spread > MAX_ROD_SPREAD)}. Their common length is free, and they are taken "
-        f"as equal to within {_EQUAL_ARMS * 1e3:g} mm of each other: if you did measure them, give "
-        f"the sigma of your measurement under [parameters] of the machine file."
+        f"{doubt * (spread > MAX_ROD_SPREAD)}: they are taken as equal, of a free length, unless "
+        f"that is given under [measured] of the machine file."
     )
 
 
+_MIN_SIZE_CONFLICT = 3e-5  # metres, rms: smaller changes of distances are their noise
 _HARDLY_LESS = 0.95  # share of a residual above which its fall is not worth telling
 CONFIG_FILE = "printer.cfg"
 PASTE_INSTRUCTIONS = (
@@ -252,13 +251,16 @@ class ResidualChange:
     count: int  # of the readings
     old: float  # by the firmware's equations with the old numbers
     new: float  # with the new ones
+    largest: str = ""  # where the residual is largest with the new ones, and that, a phrase
 
 
 def make_record(
-    old: Numbers, new: Numbers, changes: Sequence[ResidualChange], keep: str, rods_measured: bool
-) -> dict[str, Any]:
+    old: Numbers, new: Numbers, changes: Sequence[ResidualChange], keep: str, rods_measured: bool,
+    gain: Sequence[float] = (),
+) -> dict[str, Any]:  # fmt: skip
     """Return what a calibrated machine keeps of new numbers, with the residuals of the readings by
-    both; ``keep``: why the new ones are not to be entered, a clause, empty if they are better.
+    both; ``keep``: why the new ones are not to be entered, a clause, empty if they are better;
+    ``gain``: expected along the plate, and its standard deviation, metres.
     """
     # Files have equal weights, as heights of two days differ by more than touches scatter.
     heights = [(x.old, x.new) for x in changes if x.kind == "heights"] or [(0.0, 0.0)]
@@ -269,6 +271,7 @@ def make_record(
         "height_rms_mm": height_rms.round(6).tolist(),
         "keep_old_because": keep,
         **({"rods_measured": True} if rods_measured else {}),
+        **({"gain_along_mm": [round(v * 1e3, 6) for v in gain]} if gain else {}),
         "left_of_readings": [
             {"file": x.file, "kind": x.kind, "count": x.count,
              "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
@@ -288,25 +291,25 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     before, after = (float(value) * 1e-3 for value in record["height_rms_mm"])
     keep, rods_measured = str(record["keep_old_because"]), record.get("rods_measured") is True
     rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
-    if abs(rod_change) > MAX_ROD_SPREAD:  # the size is told with the causes
+    rises = [
+        float(x["new_rms_mm"]) - float(x["old_rms_mm"])
+        for x in record.get("left_of_readings", ()) if x["kind"] == "distances"
+    ]  # fmt: skip
+    if abs(rod_change) > MAX_ROD_SPREAD:
         longer = "longer" if rod_change > 0 else "shorter"
         why = "as the heights ask, and no distance does: measure a rod first"
         if rods_measured:
-            why = "as was measured"
-        elif "left_of_readings" not in record or any(
-            x["kind"] == "distances" and x["new_rms_mm"] < x["old_rms_mm"]
-            for x in record["left_of_readings"]
-        ):
+            why = f"{np.mean(new.arm) * 1e3:.1f} mm, as was measured"
+        elif "left_of_readings" not in record or any(rise < 0 for rise in rises):
             why = (
                 "as the distances say (a part that shrank makes distances shorter): measure a rod "
                 "first"
             )
-        rods = f"; the new numbers make the rods {longer}, {why}"
-    if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
-        rods += (
-            f"; the new arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: "
-            f"measure the rods before you enter them"
-        )
+        gain = record.get("gain_along_mm")
+        along = f"; along the plate {with_sigma(*gain)} mm are gained" if gain else ""
+        rods = f"; the new numbers make the rods {longer}, {why}{along}"
+    elif not rods_measured and any(rise * 1e-3 > _MIN_SIZE_CONFLICT for rise in rises):
+        rods = "; by them the part, as if it shrank, has another size: measure a rod first"
     return Corrections(
         rows=[(" ".join(key), value, offered.values[key]) for key, value in old.values.items()],
         left=[
