@@ -17,7 +17,13 @@ from orthoglide import add_ons
 from orthoglide.errors import FileError, InputError
 from orthoglide.firmware.klipper import import_printer
 from orthoglide.firmware.plate_lists import import_plates
-from orthoglide.machine_file import machine_text, parse_machine_file, read_machine_file
+from orthoglide.geometry import fit_plane
+from orthoglide.machine_file import (
+    DeltaKinematics,
+    machine_text,
+    parse_machine_file,
+    read_machine_file,
+)
 from orthoglide.observations import read_readings
 from orthoglide.observations.touched_plates import _note
 from tests.command_line import run as call
@@ -26,6 +32,8 @@ from tests.klipper_files import DATA
 FIELD = Path(__file__).parent / "data" / "field"
 WORDS = FIELD / "other-firmware-words"
 MACHINE = read_machine_file(WORDS / "machine.toml")
+SPOTS = np.array([(x, y) for x in np.linspace(-0.09, 0.09, 9) for y in np.linspace(-0.09, 0.09, 9)
+                  if np.hypot(x, y) < 0.0901]).T  # fmt: skip
 
 
 # How an add-on is found ---------------------------------------------------------------------------
@@ -253,6 +261,170 @@ def test_a_wrong_radius_of_another_firmware_is_corrected_by_its_value(
             assert float(change.replace("−", "-")) == pytest.approx(off, abs=0.5)
             assert float(radius) - 105 == pytest.approx(float(change.replace("−", "-")), abs=0.006)
             assert "computes with wrong sizes" in str(verdict)
+
+
+def delta(
+    radius: float = 0.0, turn: tuple[float, ...] = (0, 0, 0), arms: float = 0.0,
+    higher: tuple[float, ...] = (0, 0, 0),
+) -> DeltaKinematics:  # fmt: skip
+    """The machine with other sizes, mm and degrees, and carriages that stand higher, mm."""
+    assert MACHINE.kinematics is not None
+    x, y, z = MACHINE.kinematics.sphere_centres_at_zero.T
+    at = (np.hypot(x, y) + radius * 1e-3) * np.exp(1j * (np.arctan2(y, x) + np.deg2rad(turn)))
+    length = MACHINE.kinematics.arm_lengths + arms * 1e-3
+    level = z + np.sqrt(length**2 - np.abs(at) ** 2) - np.sqrt(0.215**2 - np.hypot(x, y) ** 2)
+    return DeltaKinematics(
+        np.column_stack([at.real, at.imag, level + np.array(higher) * 1e-3]), length
+    )
+
+
+def advised(
+    true: DeltaKinematics, tmp_path: Path, bowl: float = 0.0, measured: str = ""
+) -> og.Verdict:
+    """What is said of touches of a plate, a bowl by so many mm at its rim, by a true machine."""
+    assert MACHINE.kinematics is not None
+    x, y = SPOTS
+    plate = np.column_stack([x, y, bowl * 1e-3 * (x**2 + y**2) / 0.09**2])
+    believed = MACHINE.kinematics.places(true.travel(plate))
+    believed[:, 2] += np.random.default_rng(5).normal(0, 1.5e-5, len(x)) - believed[:, 2].mean()
+    rows = "".join("{:.4f},{:.4f},{:.4f}\n".format(*r) for r in believed * 1e3)
+    text = (WORDS / "machine.toml").read_text()
+    (tmp_path / "machine.toml").write_text(text + measured)
+    (tmp_path / "points.csv").write_text(f"x,y,z\n{rows}")
+    found = import_plates(tmp_path / "points.csv", tmp_path / "machine.toml")
+    return og.close_loop(list(found.campaigns), og.Machine(found.machine))
+
+
+def errors(true: DeltaKinematics, numbers: DeltaKinematics) -> tuple[float, float]:
+    """How far off a controller with some numbers is in height, its endstops calibrated, and along
+    the plate, beside a shift and a turn, rms, mm.
+    """
+    points = np.column_stack([*SPOTS, 0 * SPOTS[0]])
+    error = (true.places(numbers.travel(points)) - points) * 1e3
+    at, along = (p[:, 0] + 1j * p[:, 1] for p in (points, error))
+    along = along - along.mean()
+    along -= 1j * at * (along * (1j * at).conj()).real.sum() / (np.abs(at) ** 2).sum()
+    return float(fit_plane(points, error[:, 2])[1].std()), float(
+        np.sqrt(np.mean(np.abs(along) ** 2))
+    )
+
+
+def sizes_told(verdict: og.Verdict) -> dict[str, float]:
+    """Changes of sizes that are advised, mm and degrees."""
+    words = "".join(a.words for a in verdict.actions if "computes (" in a.words).replace("−", "-")
+    found = re.findall(r"(radius|L|tower \w) ([-+][\d.]+)", words)
+    return {name: float(value) for name, value in found}
+
+
+@pytest.mark.parametrize("tower", range(3))
+@pytest.mark.parametrize("off", [0.8, pytest.param(-0.8, marks=pytest.mark.thorough)])
+def test_whichever_tower_of_another_firmware_is_off_its_angle_is_advised(
+    tower: int, off: float, tmp_path: Path
+) -> None:
+    """Of mirrored machines one got half of the angle, and the other was to be left as it is."""
+    turn = tuple(off * (k == tower) for k in range(3))
+    told = sizes_told(advised(delta(turn=turn), tmp_path))
+    assert told.keys() == {f"tower {'abc'[tower]}"}
+    new = delta(turn=tuple(told.get(f"tower {leg}", 0.0) for leg in "abc"))
+    before, after = errors(delta(turn=turn), delta()), errors(delta(turn=turn), new)
+    assert max(np.divide(after, before)) < 0.35
+
+
+def test_an_endstop_of_another_firmware_is_told(tmp_path: Path) -> None:
+    """The plate lay tilted by half a millimetre, and no correction was advised."""
+    verdict = advised(delta(higher=(0, 0.8, 0)), tmp_path)
+    (told,) = [a for a in verdict.actions if a.kind == "zeros"]
+    off = re.search(r"\(carriage b stands ([\d.]+) mm higher than it counts\)", told.words)
+    assert off is not None
+    assert float(off[1]) == pytest.approx(0.8, abs=0.08)
+    assert not sizes_told(verdict)
+
+
+@pytest.mark.parametrize(
+    ("true", "bowl"),
+    [(delta(arms=3.0, radius=1.8), 0.0), (delta(), 0.2),
+     pytest.param(delta(arms=-2.0, radius=-1.2), 0.0, marks=pytest.mark.thorough),
+     pytest.param(delta(), -0.2, marks=pytest.mark.thorough)],
+)  # fmt: skip
+def test_what_touches_cannot_tell_from_a_radius_changes_no_size(
+    true: DeltaKinematics, bowl: float, tmp_path: Path
+) -> None:
+    """A radius for rods that were entered short made the tool worse along the plate."""
+    verdict = advised(true, tmp_path, bowl)
+    assert not sizes_told(verdict)
+    first = verdict.actions[0]
+    assert first.kind == "measure"
+    assert re.search("measure a rod .* and how far .* lay a straight edge across", first.words)
+
+
+def test_measured_rods_come_with_their_radius(tmp_path: Path) -> None:
+    """Nothing was wrong, and no correction advised: with a measured length, the radius of wrong
+    rods was less probable than a bowl.
+    """
+    true = delta(arms=3.0, radius=1.8)
+    told = sizes_told(advised(true, tmp_path, measured="\n[measured]\nrods_mm = [218.0, 0.1]\n"))
+    assert told.keys() == {"radius", "L"}
+    new = delta(radius=told["radius"], arms=told["L"])
+    assert told["L"] == pytest.approx(3.0, abs=0.1)
+    assert max(np.divide(errors(true, new), errors(true, delta()))) < 0.2
+
+
+def test_measured_travel_leaves_wrong_rods_among_the_causes(tmp_path: Path) -> None:
+    """They vanished: the machine had lost the error that the towers' radius shares."""
+    travel = "\n[measured]\ntravel_of_100_mm = [100.0, 0.05]\n"
+    verdict = advised(delta(arms=4.0, radius=2.3), tmp_path, measured=travel)
+    names = [e.name for cause in verdict.effects for e in cause.explanations]
+    assert "leg_length.common" in names
+
+
+def test_the_calibrated_machine_is_averaged_over_all_its_causes(tmp_path: Path) -> None:
+    """Equal scales of free functions, of which touches have none, filled the average, and causes of
+    less weight were lost from it, or counted half as much again.
+    """
+    verdict = advised(delta(arms=3.0, radius=1.2), tmp_path)
+    explanations = [e for cause in verdict.effects for e in cause.explanations]
+    (rods,) = [e.probability for e in explanations if e.name == "leg_length.common"]
+    posterior = verdict.machine.posterior
+    longer = [posterior.mean[k] for k, n in enumerate(posterior.names) if "leg_length" in n]
+    assert np.mean(longer) == pytest.approx(rods * 3e-3, abs=1e-4)
+
+
+@pytest.mark.parametrize("bowl", [0.2, -0.2])
+def test_a_plate_that_is_a_bowl_against_another_is_told(bowl: float, tmp_path: Path) -> None:
+    """To probe again, or to state a turn, helps nobody who has two plates."""
+    x, y = SPOTS * 1e3
+    lists = [0 * x, bowl * (x**2 + y**2) / 90**2]
+    noise = np.random.default_rng(1).normal(0, 0.015, (2, len(x)))
+    heights = zip(("", "G29\n"), lists, noise, strict=True)
+    text = ""
+    for head, z, e in heights:
+        rows = zip(x, y, z + e, strict=True)
+        text += head + "".join(f"Bed X: {a} Y: {b} Z: {c:.4f}\n" for a, b, c in rows)
+    (told,) = listed(tmp_path, text).apart
+    shape = re.search(r"plate of points-2.csv is a (\w+) of ([\d.]+) mm against the other", told)
+    assert shape is not None
+    assert shape[1] == ("bowl" if bowl > 0 else "dome")
+    assert float(shape[2]) == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("spots", [SPOTS[:, :7], SPOTS / 5, SPOTS * [[1.0], [1e-3]]])
+def test_touches_of_a_part_of_the_plate_give_no_sizes(spots: np.ndarray, tmp_path: Path) -> None:
+    """Seven touches, of the middle or along a line, fit sizes that are far off elsewhere."""
+    assert MACHINE.kinematics is not None
+    true = delta(turn=(0, 0, 1.5), higher=(0.5, 0, 0))
+    places = MACHINE.kinematics.places(true.travel(np.column_stack([*spots, 0 * spots[0]]))) * 1e3
+    rows = "".join("{:.4f},{:.4f},{:.4f}\n".format(*place) for place in places)
+    verdict = og.close_loop(list(listed(tmp_path, f"x,y,z\n{rows}").campaigns), og.Machine(MACHINE))
+    assert not [a for a in verdict.actions if a.kind in ("zeros", "mend")]
+
+
+def test_towers_may_be_numbered_clockwise() -> None:
+    """The tool was sought above the carriages."""
+    true = delta(turn=(1.0, -0.5, 0.0))
+    centres, arms = true.sphere_centres_at_zero[::-1], true.arm_lengths
+    points = np.column_stack([*SPOTS, 0 * SPOTS[0]])
+    clockwise = DeltaKinematics(centres, arms)
+    assert clockwise.places(clockwise.travel(points)) == pytest.approx(points, abs=1e-9)
 
 
 def test_height_maps_of_older_versions_and_with_gaps(tmp_path: Path) -> None:

@@ -156,6 +156,8 @@ def test_machine_files_keep_the_layout() -> None:
 def test_towers_that_cannot_be_meant_are_refused() -> None:
     with pytest.raises(InputError, match="10 degrees apart"):
         LinearDelta((0.2,) * 3, (90.0, 92.0, 210.0))
+    with pytest.raises(InputError, match=r"towers a, b, c at 210, 30, 90 degrees .* all sides"):
+        LinearDelta((0.2,) * 3, (210.0, 30.0, 90.0))
     with pytest.raises(InputError, match="positive"):
         LinearDelta((0.2, -0.2, 0.2))
 

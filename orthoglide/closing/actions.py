@@ -11,19 +11,19 @@ from typing import Literal
 import numpy as np
 
 from orthoglide import planning
-from orthoglide.accuracy import best_zeros, expected_gain, lack_of_gain
+from orthoglide.accuracy import lack_of_gain
 from orthoglide.closing.outcome import RunOutcome
-from orthoglide.control import withholding_reason
+from orthoglide.control import DeltaSizes, withholding_reason
 from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
-from orthoglide.layout import LinearDelta
-from orthoglide.numerals import plain, signed
+from orthoglide.machine import Machine
+from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning import Suggestion
 from orthoglide.result import Action, Cause, Located, Suspect, Withheld
-from orthoglide.text import MACHINE_OPTION, lower_first
+from orthoglide.text import MACHINE_OPTION, listed, lower_first
 
 _MOST_RIVALS = 6  # single causes between which readings are proposed; pairs grow by the square
 
@@ -89,7 +89,14 @@ _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
 _GAIN_ROUNDING = 1e-9  # metres: smaller differences of gain are rounding
-_MIN_TOWER_SHIFT = 1e-4  # metres by which a tower's turn moves it: the thickness of a layer
+_MIN_CHANGE = 1e-4  # metres: a smaller change of a size, or gain of it, is less than a layer
+_CORRECT_SIZES = "Correct the sizes by which the controller computes ({}), in the machine file too"
+_SET_ENDSTOPS = "set endstops and height by the controller's own calibration"
+_MEASURE_FIRST = (
+    "Before any size is entered {}lay a straight edge across the plate: other rods or a bowl look "
+    "like another radius, and the gain of new sizes ({} mm) is not certain"
+)
+_MIN_UNCERTAIN_GAIN = 5e-5  # metres: less is not worth a measurement
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
 
 
@@ -109,14 +116,18 @@ def actions(
         noisy_repeats = outcome.word == "unexplained" and bool(outcome.scattering)
         scatter_checks = [Action("confirm", _CHECK_SCATTER)] * noisy_repeats
         return (*scatter_checks, *_finding_actions(outcome, "confirm"), *measurements)
-    steps = [*_zero_actions(outcome), *_size_actions(outcome)]
+    sizes, machine = outcome.sizes, outcome.machine
+    steps = [*(_size_actions(sizes, machine) if sizes else _zero_actions(outcome))]
+    first = [action for action in steps if action.kind == "measure"]
+    steps = [action for action in steps if action.kind != "measure"]
     zeros = any(action.kind == "zeros" for action in steps)
     steps += _finding_actions(outcome, "mend", zeros=zeros)
     compensation = _compensation(outcome)
     steps += [compensation] if isinstance(compensation, Action) else []
     steps = ranked(steps, lambda a: a.gain if math.isfinite(a.gain) else 0.0, _GAIN_ROUNDING)
     steps = _state_alternatives(steps)
-    return (*measurements, *steps) if measure_first else (*steps, *measurements)
+    steps = [*measurements, *steps] if measure_first else [*steps, *measurements]
+    return (*first, *steps)
 
 
 def _state_alternatives(steps: list[Action]) -> list[Action]:
@@ -158,44 +169,48 @@ def _zero_actions(outcome: RunOutcome) -> Iterator[Action]:
         yield Action("zeros", f"Enter new zeros in the controller: {values} mm", gain)
 
 
-def _size_actions(outcome: RunOutcome) -> Iterator[Action]:
-    """Yield the action to correct the radius and the angles of a delta whose controller computes
-    with wrong ones, beyond what new zeros gain.
+def _size_actions(found: DeltaSizes, machine: Machine) -> Iterator[Action]:
+    """Yield the action to correct the numbers by which the controller of a delta computes, or to
+    measure what leaves them uncertain.
     """
-    machine, layout = outcome.machine, outcome.machine.geometry.layout
-    if outcome.firmware is not None or not isinstance(layout, LinearDelta):
-        return
-    (place,) = outcome.catalogue.correctable_by("place")
-    corrected = best_zeros(machine, ["place", "bar_length"])
-    gain, sigma = expected_gain(machine, best_zeros(machine), corrected)
-    least = _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape
-    if gain < least or lack_of_gain(gain, sigma):
-        return
-    legs, values = machine.geometry.leg_names, machine.values
-    # Complex numbers are vectors along the plate; a shift of all towers is no error.
-    outward = np.exp(1j * np.deg2rad(layout.angles_deg))
-    moved = outward * [
-        values.get(f"{place}.{leg}.radial", 0.0) + 1j * values.get(f"{place}.{leg}.tangential", 0.0)
-        for leg in legs
-    ]  # fmt: skip
-    moved = (moved - moved.mean()) / outward
-    change, radius = float(moved.real.mean()), float(np.mean(layout.radius) - machine.geometry.r)
-    turns = np.rad2deg((moved.imag - moved.imag.mean()) / radius)
-    sizes = [
-        f"radius {signed(change * 1e3, 2)} mm, to {(radius + change) * 1e3:.2f} mm, and radius_mm, "
-        f"which includes r, to {(radius + machine.geometry.r + change) * 1e3:.2f} mm"
-    ]
+    geometry, sizes, arms = machine.geometry, list[str](), machine.geometry.L + found.arms
+    radius = float(np.hypot(*geometry.centres[:, :2].T).mean())
+    if abs(found.radius) > _MIN_CHANGE:
+        to = (radius + found.radius) * 1e3
+        sizes.append(
+            f"radius {signed(found.radius * 1e3, 2)} mm, to {to:.2f} mm, and radius_mm, which "
+            f"includes r, to {to + geometry.r * 1e3:.2f} mm"
+        )
+    if abs(found.arms) > _MIN_CHANGE:
+        sizes.append(f"L {signed(found.arms * 1e3, 2)} mm, to {arms * 1e3:.2f} mm")
+    legs = [*zip(geometry.leg_names, found.shifts, found.endstops, strict=True)]
     sizes += [
-        f"tower {leg} {signed(turn, 2)}°"
-        for leg, turn in zip(legs, turns, strict=True)
-        if abs(np.deg2rad(turn)) * radius > _MIN_TOWER_SHIFT
-    ]  # fmt: skip
-    words = (
-        f"Correct the sizes by which the controller computes ({', '.join(sizes)}), in the machine "
-        f"file too; then set the endstops by the controller's own calibration, and touch the plate "
-        f"again"
-    )
-    yield Action("mend", words, gain, sigma)
+        f"tower {leg} {signed(np.rad2deg(shift / radius), 2)}°"
+        for leg, shift, _ in legs
+        if abs(shift) > _MIN_CHANGE
+    ]
+    if not found.advised:
+        lengths = machine.spec.measured
+        lacking = ["a rod between its holes"] * (lengths.rods is None)
+        lacking += ["how far a carriage goes at a command of 100 mm"] * (lengths.travel is None)
+        first = f"measure {listed(lacking)} ([measured] of the machine file), and " * bool(lacking)
+        if found.gain > _MIN_UNCERTAIN_GAIN and sizes:
+            gain = with_sigma(found.gain * 1e3, found.sigma * 1e3)
+            yield Action("measure", _MEASURE_FIRST.format(first, gain))
+        return
+    off = [
+        f"carriage {leg} stands {abs(offset) * 1e3:.2f} mm {'higher' if offset > 0 else 'lower'}"
+        for leg, _, offset in legs
+        if abs(offset) > _MIN_CHANGE
+    ]
+    endstops = f"{_SET_ENDSTOPS}{f' ({listed(off)} than it counts)' if off else ''}"
+    if sizes:
+        correct = _CORRECT_SIZES.format(", ".join(sizes))
+        words = f"{correct}; then {endstops}, and touch the plate again"
+        yield Action("mend", words, found.gain, found.sigma)
+    elif off:
+        words = f"S{endstops[1:]}, and touch the plate again"
+        yield Action("zeros", words, found.gain, found.sigma)
 
 
 def _finding_actions(

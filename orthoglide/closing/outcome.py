@@ -8,14 +8,16 @@ from typing import Any, Self
 
 from orthoglide.accuracy import expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
-from orthoglide.control import ControllerNumbers, controller_numbers
+from orthoglide.control import ControllerNumbers, DeltaSizes, best_sizes, controller_numbers
 from orthoglide.explanation import CredibleSets, FullPosterior, budget
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.lack_of_fit import residual_by_setup
 from orthoglide.fit import Estimate
+from orthoglide.layout import LinearDelta
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
 from orthoglide.numerals import distinct_figures
+from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import disagreements
 from orthoglide.result import (
     BudgetItem,
@@ -82,9 +84,22 @@ class RunOutcome(Judged, CredibleSets):
         """
         if (printer := self.request.machine.spec.printer) is None:
             return None
+        return printer.corrections(self._calibrated_machine, self._tool_readings)
+
+    @cached_property
+    def sizes(self) -> DeltaSizes | None:
+        """New sizes for the controller of a linear delta; ``None`` for other machines, for a
+        firmware with an add-on, and if no plate was touched.
+        """
+        machine = self.request.machine
+        if machine.spec.printer is not None or not isinstance(machine.geometry.layout, LinearDelta):
+            return None
+        return best_sizes(self.machine, self._tool_readings)
+
+    @property
+    def _tool_readings(self) -> list[Readings]:
         fit = self.after if self.stands else self.before  # whose machine is the calibrated one
-        readings = [f.readings for f in fit.problem.tool_factors]
-        return printer.corrections(self._calibrated_machine, readings)
+        return [f.readings for f in fit.problem.tool_factors]
 
     @property
     def _calibrated_machine(self) -> Machine:

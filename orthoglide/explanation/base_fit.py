@@ -19,6 +19,8 @@ _MOST_EXCLUDED = 12
 """Readings that are left out in turn, the likeliest slips first: among more readings than these,
 one slip drives a fit less far off."""
 
+_MAX_LIMITS_NAMED = 3  # parameters that a message names
+
 
 def fit_nested(problem: Problem, start: Array | None = None) -> Estimate:
     """Return the fit of readings in doubt, with priors as they stand; ``start``: ``(P,)``, SI."""
@@ -49,10 +51,12 @@ def closure_explained(before: Estimate) -> Iterator[None]:
     try:
         yield
     except ClosureError as error:
-        limits = "; ".join(exceeded_limits(before))
+        limits = "; ".join((found := exceeded_limits(before))[:_MAX_LIMITS_NAMED])
+        limits += f"; and {len(found) - _MAX_LIMITS_NAMED} more" * (len(found) > _MAX_LIMITS_NAMED)
         raise SolverError(
-            f"the identified machine does not reach all of its stroke: {limits}: correct these in "
-            "the controller or on the machine, or give a shorter stroke in the machine file"
+            f"the identified machine does not reach all of its stroke: {limits}. If this cannot "
+            "be, correct the unit of the readings, or a size in the machine file (such as a "
+            "diameter for a radius); else correct the machine, or give a shorter stroke"
             if limits
             else "the identified machine does not close: the readings, or their units, are not "
             "those of this machine"

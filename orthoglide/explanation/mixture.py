@@ -298,7 +298,11 @@ class Mixture(Search):
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """Weight, state and scale of every term of the averages."""
-        states, weights = list(self.weights), np.stack(list(self.weights.values()))
+        # Scales that differ in no prior variance, such as those without a free function, are one.
+        keys = [(s.spike.tobytes(), s.noise) for s in self.scales]
+        first = [keys.index(key) for key in keys]
+        states, weights = list(self.weights), np.zeros((len(self.weights), len(first)))
+        np.add.at(weights.T, first, np.stack(list(self.weights.values())).T)
         likely = np.flatnonzero(weights > _NEGLIGIBLE)
         order = likely[descending(weights.flat[likely])[:_MOST_TERMS]]
         index = [divmod(int(k), len(self.scales)) for k in order]

@@ -69,8 +69,13 @@ class LinearDelta(Layout):
         if not min(self.radius) > 0:
             raise InputError("layout: the radius of every tower must be a positive length")
         angles = np.sort(np.mod(self.angles_deg, 360.0))
-        if not np.diff(angles, append=angles[0] + 360.0).min() > 10.0:
-            raise InputError("layout: the towers must stand at least 10 degrees apart")
+        gaps = np.diff(angles, append=angles[0] + 360.0)
+        if not (gaps.min() > 10.0 and gaps.max() < 175.0):
+            stand = ", ".join(f"{v:g}" for v in self.angles_deg)
+            raise InputError(
+                f"layout: towers a, b, c at {stand} degrees do not stand around a plate, at least "
+                f"10 degrees apart and on all sides: correct the angle of one"
+            )
         if np.hypot(*self.tool[:2]) >= min(self.radius):
             raise InputError("layout: the tool must stand between the towers")
 

@@ -14,7 +14,7 @@ from orthoglide.add_ons import MARK_KEY, Printer, add_on, firmware_table
 from orthoglide.arguments import public
 from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.errors import InputError
-from orthoglide.geometry import Array, Geometry
+from orthoglide.geometry import Array, Geometry, plane_columns
 from orthoglide.layout import ORTHOGLIDE, LinearDelta
 from orthoglide.layout.leg import Triple
 from orthoglide.machine_file.posterior import Posterior
@@ -133,7 +133,9 @@ class DeltaKinematics:
             UnreachableError: where the arms do not meet.
         """
         centres = self.sphere_centres_at_zero + travel[:, :, None] * np.array([0.0, 0.0, 1.0])
-        return intersect_spheres(centres, self.arm_lengths)
+        clockwise = np.linalg.det(plane_columns(self.sphere_centres_at_zero)) < 0
+        # The tool hangs below the carriages, in whichever order the towers are numbered.
+        return intersect_spheres(centres, self.arm_lengths, "other" if clockwise else "machine")
 
 
 MEASURED_TRAVEL = 0.1

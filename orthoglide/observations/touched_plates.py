@@ -50,6 +50,7 @@ _SYMMETRIES = {
 being rows: other orders of rows and columns of a grid, turns of the towers' names or of a plate,
 counter-clockwise from above."""
 
+_MAX_BESIDE_BOWL = 0.1  # share of the variance of a difference beside a bowl
 _MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
 
 
@@ -167,11 +168,19 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
     toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
     higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
     if _upper_quartile(shape) > _MAX_SHAPE or not (higher or rise):
-        return Note(
-            f"{statement}. Leave the older of the two out, or probe it again; of a plate that was "
-            f"turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
-            "apart",
+        bowl = fit_plane(centred, np.sum(centred**2, axis=1))[1]
+        high = float(shape @ bowl) / max(float(bowl @ bowl), 1e-12) * np.sum(centred**2, axis=1)
+        remedy = (
+            "Leave the older of the two out, or probe it again; of a plate that was turned say by "
+            "how much (turned_deg, or --turned NAME=DEGREES on import)"
         )
+        if np.var(shape - fit_plane(centred, high)[1]) < _MAX_BESIDE_BOWL * np.var(shape):
+            remedy = (
+                f"The plate of {name}.csv is a {'bowl' if high.max() > 0 else 'dome'} of "
+                f"{np.abs(high).max() * 1e3:.2f} mm against the other: of two plates, a hot and a "
+                f"cold one, or two radii of the firmware leave out the one that is not in use"
+            )
+        return Note(f"{statement}. {remedy}", "apart")
     move = PlateMove(f"{name}.csv", higher, rise, toward, "that of the other")
     return Note(
         f"{statement}; {move.words}. An endstop, a screw of the plate or the probe was moved "
