@@ -145,8 +145,12 @@ def expected_gain(
 def lack_of_gain(gain: float, sigma: float) -> str:
     """Return why a correction is not advised, a clause; empty if its expected gain is certain.
 
-    This is the one rule for compensated commands, sizes in a controller, and new numbers of a
-    firmware. ``gain`` and ``sigma`` are those of `expected_gain`, metres.
+    Compensated commands, sizes in a controller, and new numbers of a firmware must all meet this
+    rule; the last two must not raise the error along the plate either.
+
+    Args:
+        gain: expected decrease of the tool's error, metres.
+        sigma: its standard deviation.
     """
     if gain > _MIN_SIGMAS * sigma:
         return ""

@@ -174,7 +174,7 @@ def test_a_plate_that_lies_elsewhere_is_told_with_its_sign() -> None:
     assert first.endswith("these readings cannot tell which")
     # An arm or an endstop may have changed by as much, and was listed as unchanged to 0.07 mm.
     assert rest.startswith(
-        "nothing else changed beyond its uncertainty, if it was the plate or the probe: "
+        "if only the plate or the probe was moved, nothing else changed beyond its uncertainty: "
     )
     assert found.line.startswith("Changed: where the plate lies. ")
 
@@ -220,7 +220,7 @@ def test_numbers_that_hide_a_change_are_not_advised_beside_it(tmp_path: Path) ->
     assert [str(change.parameter) for change in found.changes] == ["encoder_scale.a"]
     text = changes_text(found)
     assert "do not show that the encoder scale of tower a changed" in text
-    assert "enter no number before the change is confirmed and corrected" in text
+    assert "enter no number before it is confirmed and corrected" in text
     assert "drive a moves 2 % more" in text
     assert "numbers are off" not in text
     assert [action.kind for action in found.with_changes.actions] == ["confirm"]

@@ -95,14 +95,17 @@ def test_what_the_firmware_makes_of_the_readings(tmp_path: Path) -> None:
         ([("heights", 25, 9e-5, 4e-5)], ""),
         ([("heights", 25, 9e-5, 1.2e-4)], "heights of mesh rises from 0.090 to 0.120 mm rms"),
         ([("heights", 25, 9e-5, 9.5e-5)], "rises from 0.090 to 0.095 mm rms"),  # 18 um of noise
-        ([("heights", 25, 9e-5, 9.2e-5)], "goes from 0.090 to 0.092 mm rms, which is no more than"),
+        (
+            [("heights", 25, 9e-5, 9.2e-5)],
+            "goes from 0.090 to 0.092 mm rms, which is less than 5 % or no more than",
+        ),
         (
             [("heights", 400, 9e-5, 8.8e-5)],
-            "goes from 0.090 to 0.088 mm rms, which is no more than",
+            "goes from 0.090 to 0.088 mm rms, which is less than 5 % or no more than",
         ),
         (
             [("heights", 13, 1.6e-5, 1.1e-5)],
-            "goes from 0.016 to 0.011 mm rms, which is no more than",
+            "goes from 0.016 to 0.011 mm rms, which is less than 5 % or no more than",
         ),
         ([("heights", 6, 3e-4, 0.0)], "6 numbers fit any 6 touches of the plate, right or wrong"),
         # Seven heights that six numbers were fitted to have a residual below their noise.
@@ -268,5 +271,5 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert not [action for action in verdict.actions if action.kind == "zeros"]
     text = " ".join(str(verdict).split())
     assert text.startswith("Run DELTA_CALIBRATE")
-    assert "Do not enter these numbers yet: DELTA_CALIBRATE comes first" in text
+    assert "Do not enter these numbers yet: the firmware's own calibration" in text
     assert "To paste" not in str(report_files(verdict)["report.html"])

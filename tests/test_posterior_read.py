@@ -103,7 +103,7 @@ def test_the_covariance_has_what_explanations_differ_by() -> None:
     groups = tuple(Group(f"g{k}", np.array([k]), np.eye(1), False) for k in range(2))
     one.linear = SimpleNamespace(groups=groups, fixed_sd=np.zeros(2))
     one.best = ()
-    one.scales = [SimpleNamespace(spike=np.array([0.25, 4.0]))]
+    one.scales = [SimpleNamespace(spike=np.array([0.25, 4.0]), noise=0.0)]
     vars(one)["weights"] = {s: np.array([w]) for s, w in zip(states, weights, strict=True)}
 
     one._mean = lambda state, scale: means[states.index(state)]

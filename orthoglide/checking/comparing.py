@@ -120,9 +120,9 @@ class Check(Framed):
         beyond = [d.unchanged_clause for d in unchanged if d.is_significant]
         sentences = [*self.places, *(change.what for change in changed), *self.lying]
         if within:
-            what += " changed beyond its uncertainty"
-            what += ", if it was the plate or the probe" * bool(self.moves)
-            sentences.append(f"{what}: {', '.join(within)}")
+            if self.moves:
+                what = f"if only the plate or the probe was moved, {what}"
+            sentences.append(f"{what} changed beyond its uncertainty: {', '.join(within)}")
         if beyond:
             sentences.append(
                 f"these differ between the two states, each closed by itself, but a fit of all "
@@ -183,8 +183,8 @@ def check(
     if noise is None:
         noise = max((s.noise for s in states if s.noise is not None), default=None)
     before, after = with_distinct_names(*(state.given for state in states))
-    # A fit takes readings of the tool as those of the last state, so old ones are left out of the
-    # fit of all readings where the new state has dials.
+    # A fit with dials assigns all readings of the tool to the last state. If the new state has
+    # dials, old readings of the tool are therefore left out.
     with_dials = not all(one.of_tool for one in after)
     kept = [one for one in before if not (with_dials and one.of_tool)]
     request = Request("close-loop", (*kept, *after), states[1].machine, (), noise, seed)
@@ -238,8 +238,8 @@ def _comparison(
 def _with_faults_corrected(
     given: Iterable[Readings], closed: Iterable[RunOutcome]
 ) -> Iterator[Readings]:
-    """Yield the readings as the states that were closed by themselves use them: with their data
-    faults corrected. Else a change of the machine could explain a fault of one state.
+    """Yield the readings with the data faults that each state's own closure corrected, so that the
+    fit of all readings cannot explain a fault by a change of the machine.
     """
     factors = (factor for outcome in closed for factor in outcome.before.problem.factors)
     used = {(factor.name, factor.on_legs): factor.readings for factor in factors}
@@ -248,8 +248,8 @@ def _with_faults_corrected(
 
 
 def verdict_with_changes(closed: RunOutcome, changes: Iterable[Change]) -> Verdict:
-    """Return the verdict on the new readings with changes since the old ones. Sizes of located
-    errors are no alternatives to parameters of the machine there, as no drawing shows them.
+    """Return the verdict on the new readings with changes since the old ones. Located errors are
+    left out of the alternatives to a parameter, as no drawing shows them.
     """
     changes, catalogue = tuple(changes), closed.request.machine.catalogue
 
@@ -263,11 +263,12 @@ def verdict_with_changes(closed: RunOutcome, changes: Iterable[Change]) -> Verdi
 
 
 def _changes_not_contained(closed: RunOutcome, changes: Iterable[Change]) -> str:
-    """Return a sentence on the structural changes that the machine of the new readings alone does
-    not contain, as it is nearer to the old state; empty for none.
+    """Return a sentence on the structural changes that the fit of the new readings alone does not
+    show: its value is nearer to the old one, and differs significantly from the new one. Empty for
+    none, and on an Orthoglide.
 
-    Sizes and angles of a controller may be fitted to such a change and hide it from these readings.
-    Zeros hardly can, so machines whose controller takes zeros alone are not concerned.
+    Sizes and angles of a controller may be fitted to such a change and hide it from these readings;
+    zeros, which are all that the controller of an Orthoglide takes, hardly can.
     """
     machine, catalogue = closed.request.machine, closed.request.machine.catalogue
 
@@ -286,9 +287,9 @@ def _changes_not_contained(closed: RunOutcome, changes: Iterable[Change]) -> str
     if machine.geometry.dialled or not words:
         return ""
     return (
-        f"The new readings alone do not show that {listed(words)} changed, and other numbers are "
-        f"fitted to it: enter no number before the change is confirmed and corrected, and the "
-        f"readings are taken again."
+        f"The new readings alone do not show that {listed(words)} changed, so their fit may assign "
+        f"the change to other numbers: enter no number before it is confirmed and corrected, and "
+        f"the readings are taken again."
     )
 
 

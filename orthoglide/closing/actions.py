@@ -89,12 +89,12 @@ _CHECK_SCATTER = (
     "Before more is measured, look for what is loose, or correct the noise that was declared"
 )
 _GAIN_ROUNDING = 1e-9  # metres: smaller differences of gain are rounding
-_MIN_CHANGE = 1e-4  # metres: a smaller change of a size, or gain of it, is less than a layer
+_MIN_CHANGE = 1e-4  # metres: smaller changes of a size are not named, half a layer of a print
 _CORRECT_SIZES = "Correct the sizes by which the controller computes ({}), in the machine file too"
 _SET_ENDSTOPS = "set endstops and height by the controller's own calibration"
 _MEASURE_FIRST = (
-    "Before any size is entered {}lay a straight edge across the plate: other rods or a bowl look "
-    "like another radius, and the gain of new sizes ({} mm) is not certain"
+    "No new size is advised yet (expected gain {} mm), as a bowl of the plate{} looks like another "
+    "radius: before any size is entered, {}lay a straight edge across the plate"
 )
 _MIN_UNCERTAIN_GAIN = 5e-5  # metres: less is not worth a measurement
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
@@ -118,7 +118,7 @@ def actions(
         return (*scatter_checks, *_finding_actions(outcome, "confirm"), *measurements)
     sizes, machine = outcome.sizes, outcome.machine
     steps = [*(_size_actions(sizes, machine) if sizes else _zero_actions(outcome))]
-    first = [action for action in steps if action.kind == "measure"]
+    prerequisites = [action for action in steps if action.kind == "measure"]
     steps = [action for action in steps if action.kind != "measure"]
     zeros = any(action.kind == "zeros" for action in steps)
     steps += _finding_actions(outcome, "mend", zeros=zeros)
@@ -127,7 +127,7 @@ def actions(
     steps = ranked(steps, lambda a: a.gain if math.isfinite(a.gain) else 0.0, _GAIN_ROUNDING)
     steps = _state_alternatives(steps)
     steps = [*measurements, *steps] if measure_first else [*steps, *measurements]
-    return (*first, *steps)
+    return (*prerequisites, *steps)
 
 
 def _state_alternatives(steps: list[Action]) -> list[Action]:
@@ -196,21 +196,21 @@ def _size_actions(found: DeltaSizes, machine: Machine) -> Iterator[Action]:
         first = f"measure {listed(lacking)} ([measured] of the machine file), and " * bool(lacking)
         if found.gain > _MIN_UNCERTAIN_GAIN and sizes:
             gain = with_sigma(found.gain * 1e3, found.sigma * 1e3)
-            yield Action("measure", _MEASURE_FIRST.format(first, gain))
+            rods = " or rods of another length" * (lengths.rods is None)
+            yield Action("measure", _MEASURE_FIRST.format(gain, rods, first))
         return
     off = [
         f"carriage {leg} stands {abs(offset) * 1e3:.2f} mm {'higher' if offset > 0 else 'lower'}"
         for leg, _, offset in legs
         if abs(offset) > _MIN_CHANGE
     ]
-    endstops = f"{_SET_ENDSTOPS}{f' ({listed(off)} than it counts)' if off else ''}"
+    stand = f" ({listed(off)} than it counts)" * bool(off)
+    endstops = f"{_SET_ENDSTOPS}{stand}, and touch the plate again"
     if sizes:
-        correct = _CORRECT_SIZES.format(", ".join(sizes))
-        words = f"{correct}; then {endstops}, and touch the plate again"
+        words = f"{_CORRECT_SIZES.format(', '.join(sizes))}; then {endstops}"
         yield Action("mend", words, found.gain, found.sigma)
     elif off:
-        words = f"S{endstops[1:]}, and touch the plate again"
-        yield Action("zeros", words, found.gain, found.sigma)
+        yield Action("zeros", f"{endstops[:1].upper()}{endstops[1:]}", found.gain, found.sigma)
 
 
 def _finding_actions(
@@ -254,8 +254,8 @@ def _finding_actions(
             words = f"Confirm the repair{remainder}; {outdated}"
             yield Action("confirm", words, options=suspects(change))
         else:
-            gain = (math.nan, math.nan)
-            gain = gain if change.loses else gains.get(change.parameter, gain)
+            unknown = (math.nan, math.nan)
+            gain = unknown if change.loses else gains.get(change.parameter, unknown)
             alternative = "enter the new zeros, not both" if by_zeros else "correct for it"
             words = f"Confirm the change. Then put it back, or {alternative}; {outdated}"
             yield Action(kind, words, *gain, options=suspects(change))

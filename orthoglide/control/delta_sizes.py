@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,14 +18,14 @@ from orthoglide.prediction import Conditions
 
 _ENDSTOPS, _SIZES = [0, 1, 2], ([3], [4, 5], [6])
 """Columns of a change of the numbers: endstops; radius of all towers; places of towers a and b on
-their circle, against c, as a turn of all towers is no error; and length of all arms, which changes
-where no other size will do."""
+their circle, against c, as a turn of all towers is no error; and length of all arms, tried last
+among the sets of one size."""
 
 _STEPS = 3  # of Gauss-Newton: a fourth changes nothing
-_COMMON_WEIGHT = 1e-2  # of motions that are no error: they decide between equal numbers
-_COUNTED = np.array([0.3, 0.3, 1.0])
-"""Weights of errors along the plate and of height: a print shows a tenth of a millimetre in height,
-half a layer, as it shows three tenths of its width."""
+_COMMON_WEIGHT = 1e-2  # of motions that are no error: small, they decide between equal numbers
+_AXIS_WEIGHTS = np.array([0.3, 0.3, 1.0])
+"""Weights of errors along the plate and of height: a print shows an error of a tenth of a
+millimetre in height, half a layer, as clearly as one of three tenths along the plate."""
 
 _ARM_SD = 1e-3  # metres, of arms that were entered by a rule or a shop's page
 _COUNT = 7  # numbers, which fit as many touches whether they are right or wrong
@@ -39,23 +40,34 @@ _MIN_RELATIVE_GAIN = 0.02  # of the tool's error now: a smaller gain is not wort
 class DeltaSizes:
     """One consistent set of changes of a controller's numbers, and what they gain."""
 
-    endstops: Array  # how much higher the carriages stand than counted (3,), metres
+    # height of each carriage over its counted height, relative to the middle one (3,), metres
+    endstops: Array
     arms: float  # change of the length of all arms, metres
     radius: float  # change of the radius of all towers, metres
     shifts: Array  # change of the places of the towers along their circle (3,), metres
     gain: float  # decrease of the tool's weighted error over the plate to expect, rms, metres
     sigma: float  # standard deviation of the gain
-    advised: bool  # whether the gain is certain, in height and along the plate
+    advised: bool  # whether the set is to be entered, by the rule of `best_sizes`
+
+
+class _Fit(NamedTuple):
+    """A change of the numbers ``(7,)`` with its gain, the sigma of that, and a score."""
+
+    change: Array
+    gain: float
+    sigma: float
+    score: float  # gain less two sigma; minus infinity if it is not certain or something is lost
 
 
 def best_sizes(machine: Machine, campaigns: Iterable[Readings]) -> DeltaSizes | None:
     """Return the numbers for a calibrated delta's controller; ``None`` if touches are too few,
     or do not spread beyond the middle of the plate.
 
-    With them the tool errs least where the plate was touched, which is z = 0. Of the sizes, those
-    change that gain most with certainty under the posterior, and as few as gain nearly as much;
-    nothing is lost in height or along the plate. If no gain is certain, all change, and none is
-    advised.
+    Each subset of the sizes is fitted together with the endstops, so that the tool errs least where
+    the plate was touched, which is z = 0. Its score is the gain less two standard deviations; a
+    subset does not count if the error in height or along the plate rises by more than one. The
+    first subset, fewest sizes first, within 2 % of the present error of the best score is returned.
+    If no score exceeds 2 %, the fit of all sizes is returned and not advised.
     """
     touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
     points, plane = _plate(machine, touched) if touched else (np.zeros((1, 3)),) * 2
@@ -71,24 +83,27 @@ def best_sizes(machine: Machine, campaigns: Iterable[Readings]) -> DeltaSizes | 
         return change
 
     now = mean[: 3 * len(points)].reshape(-1, 3)
-    size_now, found = _rms(now, drawn), list[tuple[Array, float, float, float]]()
+    size_now, fits = _rms(now, drawn), list[_Fit]()
     for columns in [c for count in range(4) for c in combinations(_SIZES, count)]:
-        left = mean - slopes @ (change := fitted(columns))
+        change = fitted(columns)
+        left = mean - slopes @ change
         after = left[: 3 * len(points)].reshape(-1, 3)
         # The decrease of the square of each error, which is linear in the deviations drawn.
-        less = np.mean(now**2 - after**2 + 2 * drawn * (now - after), axis=1)
-        height, along = less[:, 2], less[:, :2].sum(axis=1)
+        decrease = np.mean(now**2 - after**2 + 2 * drawn * (now - after), axis=1)
+        height, along = decrease[:, 2], decrease[:, :2].sum(axis=1)
         rms = size_now + _rms(after, drawn)
         gain, sigma = (float(v / rms) for v in ((height + along).mean(), (height + along).std()))
         loses = any(part.mean() < -part.std() for part in (height, along))
-        certain = -np.inf if loses or lack_of_gain(gain, sigma) else gain - 2 * sigma
-        found.append((change, gain, sigma, float(certain)))
-    least = max(x[-1] for x in found) - _MIN_RELATIVE_GAIN * size_now
+        score = -np.inf if loses or lack_of_gain(gain, sigma) else gain - 2 * sigma
+        fits.append(_Fit(change, gain, sigma, score))
+    least = max(fit.score for fit in fits) - _MIN_RELATIVE_GAIN * size_now
     advised = least > 0
-    change, gain, sigma, _ = next(x for x in found if x[-1] > least) if advised else found[-1]
-    shifts, (wider, arms) = np.append(change[4:6], -change[4:6].sum()), change[[3, 6]].tolist()
-    endstops, shifts = (part - np.median(part) for part in (change[:3], shifts))
-    return DeltaSizes(endstops, arms, wider, shifts, gain, sigma, advised)
+    chosen = next(fit for fit in fits if fit.score > least) if advised else fits[-1]
+    change, (a, b) = chosen.change, chosen.change[4:6]
+    # A common height or turn is no error: the middle one keeps its value.
+    endstops, shifts = (v - np.median(v) for v in (change[:3], np.array([a, b, -a - b])))
+    arms, wider = float(change[6]), float(change[3])
+    return DeltaSizes(endstops, arms, wider, shifts, chosen.gain, chosen.sigma, advised)
 
 
 def _rms(errors: Array, drawn: Array) -> float:
@@ -112,11 +127,14 @@ def _plate(machine: Machine, touched: Iterable[Readings]) -> tuple[Array, Array]
 
 
 def _errors(machine: Machine, points: Array, plane: Array) -> tuple[Array, Array, Array]:
-    """Return the tool's weighted errors at points of a plate: slopes ``(3 n + 4, 7)``, mean
-    ``(3 n + 4,)``, and deviations of machines drawn from the posterior ``(draws, 3 n)``, metres.
+    """Return, at points of a plate, derivatives of the tool's weighted errors by the seven numbers
+    ``(3 n + 4, 7)``, these errors with the present numbers ``(3 n + 4,)``, and deviations ``(draws,
+    n, 3)`` of machines drawn from the posterior, with what unmeasured rods or a bowl would do along
+    the plate; metres.
 
-    Whatever the machine, its touches determine the slopes of the plate. Neither a common height nor
-    a shift or turn along the plate is an error: they stand in the last four rows alone.
+    A common height, and a shift or turn along the plate, are no errors: they are projected out of
+    the first 3 n rows and stand in the last four with a small weight. Deviations have no tilt
+    either, as the touches determine it for every machine.
     """
     zero, arm, place = (
         machine.catalogue.correctable_by(x)[0] for x in ("zero", "bar_length", "place")
@@ -142,17 +160,19 @@ def _errors(machine: Machine, points: Array, plane: Array) -> tuple[Array, Array
             np.concatenate([v - level @ (level.T @ v), _COMMON_WEIGHT * level.T @ v])
             for v in ((by_name @ matrix).reshape(-1, _COUNT), error)
         )
-        mean = mean + slopes @ change  # of the old numbers
+        mean = mean + slopes @ change  # error with the old numbers, by linearisation
         change = np.linalg.lstsq(slopes, mean)[0]
     drawn = drawn_errors(machine, commands, points + plane).reshape(-1, error.size) - error
     drawn = drawn - drawn @ rigid @ rigid.T
-    # Arms that were entered wrong and a bowl look like another radius: only heights are known then.
-    open_fields = np.zeros((error.size, 2))
-    open_fields[:, 0] = slopes[: error.size, 6] * _ARM_SD * (machine.spec.measured.rods is None)
-    open_fields[2::3, 1] = PLATE_SHAPE_SD * np.sum(points**2, axis=1) / np.max(points**2)
-    by_others = np.linalg.lstsq(slopes[2 : error.size : 3, :4], open_fields[2::3])[0]
-    open_fields -= slopes[: error.size, :4] @ by_others
-    open_fields[2::3] = 0.0
-    drawn += np.random.default_rng(1).standard_normal((len(drawn), 2)) @ open_fields.T
-    weight = np.append(np.tile(_COUNTED, len(points)), np.ones(4))
-    return weight[:, None] * slopes, weight * mean, _COUNTED * drawn.reshape(len(drawn), -1, 3)
+    # Touches measure height alone. Endstops and radius make up for what wrong arms or a bowl do to
+    # heights, and an error along the plate remains that no touch shows.
+    unseen = np.zeros((error.size, 2))
+    unseen[:, 0] = slopes[: error.size, 6] * _ARM_SD * (machine.spec.measured.rods is None)
+    unseen[2::3, 1] = PLATE_SHAPE_SD * np.sum(points**2, axis=1) / np.max(points**2)
+    made_up = np.linalg.lstsq(slopes[2 : error.size : 3, :4], unseen[2::3])[0]
+    unseen -= slopes[: error.size, :4] @ made_up
+    unseen[2::3] = 0.0
+    independent = np.random.default_rng(1)  # of the draws of `drawn_errors`
+    drawn += independent.standard_normal((len(drawn), 2)) @ unseen.T
+    weight = np.append(np.tile(_AXIS_WEIGHTS, len(points)), np.ones(4))
+    return weight[:, None] * slopes, weight * mean, _AXIS_WEIGHTS * drawn.reshape(len(drawn), -1, 3)

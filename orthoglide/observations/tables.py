@@ -180,10 +180,10 @@ def shared_fraction(table: Readings, other: Readings) -> float:
 
 
 def with_distinct_sources(tables: Sequence[Readings]) -> list[Readings]:
-    """Return the tables with labels where messages would call two of them alike.
+    """Return the tables, with labels on those that messages could not distinguish.
 
-    A label has as many folders as tell files of one name apart, and the name of the table where
-    several tables are of one file.
+    A label contains as many folders as distinguish files of equal name, and the table's name if
+    several tables come from one file.
     """
     same_source = [
         [other for other in tables if source(other) == source(table)] if table.file else [table]

@@ -85,12 +85,13 @@ class Scope:
         parameters = tuple(bare.catalogue.parameter(n, setups) for n in names)
         errors = visible_free_form_errors(full_model)
         drawable = (e for e in errors if e.in_model and not (e.is_local or e.is_line))
-        errors = tuple(e for e in drawable if e.effect.motions)  # which one leg has
+        # Errors that belong to no single leg have no motions and cannot be drawn.
+        errors = tuple(e for e in drawable if e.effect.motions)
         return cls(bare, sheets, parameters, errors)
 
 
 def check_tolerances(scope: Scope) -> None:
-    """Refuse tolerances by which machines are drawn that no machine of this size can be.
+    """Refuse tolerances so large that drawn machines would have errors implausible for their size.
 
     Raises:
         InputError: naming the tolerances, with the largest that can be drawn.

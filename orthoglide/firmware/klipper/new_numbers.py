@@ -48,7 +48,7 @@ _LATERAL_WEIGHT = 0.03
 millimetre high, and touches hardly determine the place of the tool along the plate."""
 
 _FITTED_COUNT = 6  # numbers, in the order of `Numbers.changed`
-_RECALIBRATE_FIRST = "DELTA_CALIBRATE comes first, as is said at the top"
+_RECALIBRATE_FIRST = "the firmware's own calibration has to be repeated first, as the report says"
 _FIT_TOLERANCE = 1e-13  # relative changes at which a fit ends, close to rounding
 
 PoseFunction = Callable[[Array], tuple[Array, Array]]
@@ -96,7 +96,8 @@ def new_numbers(
         return _drawn_rms(machine, _commands(numbers, old, points), wanted, relative)
 
     new = _fit_numbers(old, residuals)
-    keep = lack_of_expected_gain(before := drawn(old), after := drawn(new))
+    before, after = drawn(old), drawn(new)
+    keep = lack_of_expected_gain(before, after)
     rearmed = _fit_numbers(replace(old, arm=_calibrated_arms(machine)), residuals)
     if not lack_of_expected_gain(before if keep else after, drawn(rearmed)):
         new, keep = rearmed, ""
@@ -110,16 +111,19 @@ def new_numbers(
 
 
 def lack_of_expected_gain(before: Array, after: Array) -> str:
-    """Return why numbers are not expected to be better, a clause; empty if they are. Before and
-    after them, `_drawn_rms` are ``(2, draws)``, metres.
+    """Return why numbers are not expected to be better, a clause; empty if they are.
+
+    Args:
+        before: results of `_drawn_rms` with the old numbers ``(2, draws)``, metres.
+        after: with the new ones.
     """
     weighted = (np.hypot(height, _LATERAL_WEIGHT * along) for height, along in (before, after))
-    gain, loss = np.subtract(*weighted), 1e3 * (after[1] - before[1])
+    gain, loss = np.subtract(*weighted), after[1] - before[1]
     if reason := lack_of_gain(float(np.mean(gain)), float(np.std(gain))):
         return reason
     if loss.mean() <= loss.std():
         return ""
-    size = with_sigma(float(loss.mean()), float(loss.std()))
+    size = with_sigma(float(loss.mean()) * 1e3, float(loss.std()) * 1e3)
     return f"the tool is expected to err by {size} mm more along the plate"
 
 
@@ -135,11 +139,12 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
             f"wrong: touch it at more places"
         )
     if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
-        again = f"; it is largest at {worse[0].largest}: take that reading again"
-        return f"{_residual_clause(worse[0], 'rises')}{again * bool(worse[0].largest)}"
+        most = max(worse, key=lambda c: c.new - c.old)
+        again = f"; it is largest at {most.largest}: take that reading again"
+        return f"{_residual_clause(most, 'rises')}{again * bool(most.largest)}"
     if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
         most = min(changes, key=lambda c: c.new - c.old)
-        return f"{_residual_clause(most, 'goes')}, which is no more than chance"
+        return f"{_residual_clause(most, 'goes')}, which is less than 5 % or no more than chance"
     return ""
 
 
@@ -151,10 +156,10 @@ def _residual_clause(change: ResidualChange, verb: str) -> str:
 
 
 def _is_more_than_chance(change: ResidualChange) -> bool:
-    """Return whether the residual of readings changes by more than chance, and noticeably.
+    """Return whether the residual of readings changes by more than chance, and by 5 %.
 
-    Their noise is that of the instrument; where they fit better, the residual that is left if this
-    is larger, as what the model lacks must not count as a gain.
+    The noise is that of the instrument. If the readings fit better, it is the new residual where
+    that is larger, as what the model lacks must not count as a gain.
     """
     low, high = sorted((change.old, change.new))
     noise = _NOISE[change.kind]
@@ -205,8 +210,9 @@ def _drawn_rms(machine: Machine, commands: Array, wanted: Array, relative: bool)
     nozzle at commands for places on the plate ``(n, 3)``, of machines drawn from the posterior,
     metres.
 
-    Whatever the machine, z = 0 is the plane of its touches: only the machine itself has an error of
-    height and slope there, and none of height if ``relative`` says that this is unknown.
+    The plane of the heights is removed from each deviation, as z = 0 is the plane of that machine's
+    own touches. The mean machine keeps its error of height and slope; where the height is unknown
+    (``relative``), that of slope only.
     """
     error, mean = drawn_errors(machine, commands, wanted), machine.forward(commands) - wanted
     height = mean[:, 2] - relative * mean[:, 2].mean()
