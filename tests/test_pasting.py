@@ -227,6 +227,19 @@ def test_owners_of_distances_are_asked_for_more_of_them() -> None:
         assert ("distances between holes or pillars" in briefs) != more
 
 
+@pytest.mark.parametrize(
+    ("arms", "warned"), [((0.345, 0.345, 0.3458), True), ((0.3458,) * 3, False)]
+)
+def test_new_arms_that_differ_are_to_be_measured(arms: tuple[float, ...], warned: bool) -> None:
+    """Import would say that rods of one set are not so: what offers the numbers says it too."""
+    left = [ResidualChange("mesh", "heights", 25, 9e-5, 4e-5)]
+    for rods_measured in (False, True):
+        record = make_record(NUMBERS, replace(NUMBERS, arm=arms), left, "", rods_measured)
+        words = corrections_of(NUMBERS, record).words
+        said = "the new arms differ by 0.80 mm, more than rods of one set do: measure the rods"
+        assert (said in words) == (warned and not rods_measured)
+
+
 def test_numbers_that_an_earlier_version_kept_are_pasted() -> None:
     kept = {"new": NUMBERS.as_dict(), "height_rms_mm": [0.1, 0.05], "keep_old_because": ""}
     found = make_paste(NUMBERS, kept)

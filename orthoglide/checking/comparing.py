@@ -271,6 +271,8 @@ def _changes_not_contained(closed: RunOutcome, changes: Iterable[Change]) -> str
     zeros, which are all that the controller of an Orthoglide takes, hardly can.
     """
     machine, catalogue = closed.request.machine, closed.request.machine.catalogue
+    if machine.geometry.dialled:
+        return ""
 
     def is_contained(change: Change) -> bool:
         value = closed.values.get(change.parameter, 0.0)
@@ -284,7 +286,7 @@ def _changes_not_contained(closed: RunOutcome, changes: Iterable[Change]) -> str
         and change.parameter.effect not in catalogue.base
         and not is_contained(change)
     ]
-    if machine.geometry.dialled or not words:
+    if not words:
         return ""
     return (
         f"The new readings alone do not show that {listed(words)} changed, so their fit may assign "

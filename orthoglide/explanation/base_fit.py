@@ -51,12 +51,14 @@ def closure_explained(before: Estimate) -> Iterator[None]:
     try:
         yield
     except ClosureError as error:
-        limits = "; ".join((found := exceeded_limits(before))[:_MAX_LIMITS_NAMED])
-        limits += f"; and {len(found) - _MAX_LIMITS_NAMED} more" * (len(found) > _MAX_LIMITS_NAMED)
+        exceeded = exceeded_limits(before)
+        named, further = exceeded[:_MAX_LIMITS_NAMED], len(exceeded) - _MAX_LIMITS_NAMED
+        limits = "; ".join([*named, f"and {further} more"] if further > 0 else named)
         raise SolverError(
-            f"the identified machine does not reach all of its stroke: {limits}. If this cannot "
-            "be, correct the unit of the readings, or a size in the machine file (such as a "
-            "diameter for a radius); else correct the machine, or give a shorter stroke"
+            f"the identified machine does not reach all of its stroke: {limits}. If it cannot be "
+            "so far off, correct the unit of the readings, or a size in the machine file (such as "
+            "a diameter given as a radius); if it can, correct the machine, or give a shorter "
+            "stroke"
             if limits
             else "the identified machine does not close: the readings, or their units, are not "
             "those of this machine"

@@ -159,8 +159,9 @@ def coefficient_spans(errors: Sequence[FreeForm], first: int = 0) -> dict[str, N
 def _common_base_causes(
     full_problem: Problem, base_count: int
 ) -> Iterator[tuple[Candidate, float]]:
-    """Yield the common errors of the base, zeros excepted, each with its size in tolerances of a
-    part: that which an owner entered, or one. All rods may be cut to one wrong length.
+    """Yield the error that all parts share, for each effect of the base but the zeros, with the
+    size to expect in tolerances of a part: the one that an owner entered, or 1. All rods may be cut
+    to one wrong length, for example.
 
     Causes that an earlier calibration determined are left out.
 

@@ -298,7 +298,7 @@ class Mixture(Search):
     @cached_property
     def _terms(self) -> tuple[tuple[float, State, Scale], ...]:
         """Weight, state and scale of every term of the averages."""
-        # Scales that differ in no prior variance, such as those without a free function, are one.
+        # Scales of equal noise and prior variances, such as those without a free function, are one.
         keys = [(s.spike.tobytes(), s.noise) for s in self.scales]
         first = [keys.index(key) for key in keys]
         states, weights = list(self.weights), np.zeros((len(self.weights), len(first)))

@@ -41,7 +41,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
     spec = problem.machine.spec
     if (printer := spec.printer) is not None:
         collected += printer.imported({table.name for table in tables})
-    else:  # whose firmware the controller is, and says it first
+    else:  # the add-on of a firmware says this itself, first of all
         texts = filter(None, spec.measured.contradictions(spec.geometry.L))
         collected += [Note(lower_first(text[:-1]), "measured") for text in texts]
     for table in tables:

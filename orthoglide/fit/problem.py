@@ -268,7 +268,7 @@ class Problem:
         """Prior rows of the unknowns whose priors are correlated, matrix ``(k, P)`` and target
         ``(k,)``, and which unknowns these are ``(P,)``.
         """
-        errors = self.machine.spec.shared_errors  # of a radius, say, fitted with wrong rods
+        errors = self.machine.spec.shared_errors  # as of a radius that was fitted with wrong rods
         if (earlier := self.earlier_posterior) is None:
             return shared_error_rows(self.unknowns, self.prior_sd, errors)
         shared = [(weights, sd) for weights, sd in errors if set(weights).isdisjoint(earlier.names)]

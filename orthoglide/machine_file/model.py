@@ -178,7 +178,8 @@ class Measured:
         )
         of_rods = (
             f"The rods measure {rods[0] * 1e3:.1f} mm, the controller has "
-            f"{nominal_rods * 1e3:.1f} mm: all its sizes were fitted with these, and change."
+            f"{nominal_rods * 1e3:.1f} mm: all its sizes were fitted with that length, and change "
+            f"with it."
         )
         return of_travel * _differs(travel, MEASURED_TRAVEL), of_rods * _differs(rods, nominal_rods)
 

@@ -95,17 +95,19 @@ def new_numbers(
     def drawn(numbers: Numbers) -> Array:
         return _drawn_rms(machine, _commands(numbers, old, points), wanted, relative)
 
-    new = _fit_numbers(old, residuals)
-    before, after = drawn(old), drawn(new)
+    new, with_arms = (
+        _fit_numbers(replace(old, arm=arms), residuals)
+        for arms in (old.arm, _calibrated_arms(machine))
+    )
+    before, after, after_with_arms = map(drawn, (old, new, with_arms))
     keep = lack_of_expected_gain(before, after)
-    rearmed = _fit_numbers(replace(old, arm=_calibrated_arms(machine)), residuals)
-    if not lack_of_expected_gain(before if keep else after, drawn(rearmed)):
-        new, keep = rearmed, ""
+    if not lack_of_expected_gain(before if keep else after, after_with_arms):
+        new, after, keep = with_arms, after_with_arms, ""
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
     judged = residual_changes(old, new, campaigns, meshes_relative, free_size=True)
     keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged]) or keep
     rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
-    along = before[1] - drawn(new)[1]
+    along = before[1] - after[1]
     gain = float(along.mean()), float(along.std())
     return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain))
 
@@ -273,7 +275,7 @@ def _height_residuals(
 
 
 def _distance_residuals(numbers: Numbers, old: Numbers, part: Readings, free_size: bool) -> Array:
-    """Return the residuals of distances ``(n,)``, metres; `residual_changes` has ``free_size``."""
+    """Return the residuals of distances ``(n,)``, metres, as `residual_changes` has them."""
     ends = [_firmware_points(numbers, old, c) for c in (part.command, part.second)]
     residual = np.linalg.norm(ends[0] - ends[1], axis=1) - part.reading
     printed = np.array([s.material == PRINTED for s in part.setups])[part.setup]

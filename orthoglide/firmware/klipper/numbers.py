@@ -310,6 +310,11 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
         rods = f"; the new numbers make the rods {longer}, {why}{along}"
     elif not rods_measured and any(rise * 1e-3 > _MIN_SIZE_CONFLICT for rise in rises):
         rods = "; by them the part, as if it shrank, has another size: measure a rod first"
+    if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
+        rods += (
+            f"; the new arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: "
+            f"measure the rods before you enter them"
+        )
     return Corrections(
         rows=[(" ".join(key), value, offered.values[key]) for key, value in old.values.items()],
         left=[
