@@ -28,7 +28,7 @@ _AXIS_WEIGHTS = np.array([0.3, 0.3, 1.0])
 millimetre in height, half a layer, as clearly as one of three tenths along the plate."""
 
 _ARM_SD = 1e-3  # metres, of arms that were entered by a rule or a shop's page
-_COUNT = 7  # numbers, which fit as many touches whether they are right or wrong
+_COUNT = 7  # numbers to fit: as many touches fit exactly, so more are needed
 _MIN_SPREAD = 1 / 6
 """Root mean square of the places, as a share of the towers' radius, in the direction in which they
 spread least: that of a disk of a third. Touches of a plate's middle do not determine its rim."""

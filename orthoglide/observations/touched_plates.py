@@ -50,7 +50,7 @@ _SYMMETRIES = {
 being rows: other orders of rows and columns of a grid, turns of the towers' names or of a plate,
 counter-clockwise from above."""
 
-_MAX_BESIDE_BOWL = 0.1  # share of the variance of a difference beside a bowl
+_MAX_BESIDE_BOWL = 0.1  # share of a difference's variance that a bowl may leave unexplained
 _MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
 
 
