@@ -12,6 +12,8 @@ import orthoglide as og
 from benchmarks import public
 from benchmarks.delta_readings import measured
 from orthoglide.errors import InputError
+from orthoglide.explanation import assumed_noise
+from orthoglide.explanation.data_faults import find_data_faults
 from orthoglide.fit import Noise, assemble, noise_of, solve
 from orthoglide.fit.noise import PUBLISHED_REPEATABILITY, RowNoise
 from orthoglide.fit.repeats import common_rounding, dial_steps, repeat_variance
@@ -207,6 +209,15 @@ def test_repeats_that_scatter_by_more_than_the_machine_file_says_are_told() -> N
     assert said == pytest.approx(noise * 1e3, rel=0.15)
     shown = np.hypot(noise, 1e-5 / np.sqrt(12))  # the repeats' own, in place of what they refute
     assert fit.problem.noise.typical == pytest.approx(shown, rel=0.15)
+
+
+def test_noise_that_repeats_refute_is_not_assumed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Faults were searched with it too, which took twelve times as long and explained nothing."""
+    fit = scattering(2e-5)
+    tried = list[og.Estimate]()
+    monkeypatch.setattr(assumed_noise, "fit_nested", lambda *given: tried.append(given))
+    assert find_data_faults(fit).faults == ()
+    assert not tried
 
 
 def test_one_setup_that_scatters_is_named() -> None:

@@ -311,14 +311,20 @@ def _smaller_variance_ratios(posterior: FullPosterior) -> dict[str, float]:
 
     There are two reasons: the chi2 of the fit is far below its degrees of freedom (overstated
     noise), or repeats scatter much more than is usual for the instrument, which happens if it was
-    moved between two visits to a station.
+    moved between two visits to a station. A dial that was moved shifts all its next readings alike,
+    so its noise is at least that of differences between successive steps.
     """
     if posterior.mixture.chi2_per_dof < _OVERSTATED_NOISE:
         return _fitted_variance_ratios(posterior)
     usual = dict[str, float]()
     for factor in posterior.before.problem.factors:
         noise = factor.noise
-        ratio = np.where(factor.readings.touching, 1.0, noise.expected / noise.total)
+        least = noise.expected
+        if factor.on_legs:
+            differences = _successive_differences(factor.readings.subset(noise.weighted))
+            if len(differences) >= _FEWEST_DIFFERENCES:
+                least = np.maximum(least, _robust_scatter(differences, 0.0, _MEDIAN_QUANTILE))
+        ratio = np.where(factor.readings.touching, 1.0, least / noise.total)
         for kind in dict.fromkeys(factor.readings.kind):
             of_kind = ratio[factor.readings.of_kind(kind) & noise.weighted]
             median = float(np.median(of_kind)) if len(of_kind) else 1.0
