@@ -346,6 +346,20 @@ def test_only_misreadings_that_may_still_win_are_searched(machine, monkeypatch):
     assert len(searched) == 1  # five were, of which four came far behind by one factorisation
 
 
+def test_a_misreading_that_no_explanation_makes_likely_enough_is_not_searched(machine, monkeypatch):
+    """Units that shrink the readings of one setup until little is left to explain were searched
+    three times in each round; their prior odds exceed what any explanation gains.
+    """
+    searched, search = [], ranked_readings.posterior_at_base_fit
+    monkeypatch.setattr(
+        ranked_readings, "posterior_at_base_fit", lambda fit: searched.append(fit) or search(fit)
+    )
+    knocked = rc.knocked_stand(rows_of(), "xz-0.5", -0.5).rows
+    found = found_in(rc.swapped_sign(knocked, "zx-0.5").rows, machine)
+    assert {fault.kind for fault in found} == {"knocked_stand", "sign"}
+    assert len(searched) == 1
+
+
 def test_readings_too_many_to_be_compared_with_misreadings_are_noted(machine, monkeypatch):
     fit = estimate_of(rows_of("standard", seed=2), machine)
     assert find_data_faults(fit).notes == ()

@@ -229,12 +229,17 @@ class Mixture(Search):
         return self.scales[largest(self.weights[state])]
 
     @cached_property
-    def chi2_per_dof(self) -> float:
-        """Chi2 per degree of freedom of the best state, its priors counted."""
+    def chi2(self) -> float:
+        """Chi2 of the best state at its likeliest scale, its priors counted."""
         scale = self._likeliest_scale(self.best)
         left, shrink = self._active_directions(scale, self.best)
         residual = shrink_along(scale.residual, left, shrink)
-        return float(residual @ residual) / max(len(residual), 1)
+        return float(residual @ residual)
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """Chi2 per degree of freedom of the best state, its priors counted."""
+        return self.chi2 / max(len(self.linear.residual), 1)
 
     def alternatives_to(self, group: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.

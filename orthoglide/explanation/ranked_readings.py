@@ -72,13 +72,14 @@ def likeliest_misreading(
     best: tuple[float, Fault | None]
     # By a clear margin, as the prior probability of a misreading is a guess.
     best = max(posterior.evidence, other_evidence) + TWENTY_TO_ONE, None
-    least = max(other_evidence - posterior.evidence, 0.0)
+    least, limit = max(other_evidence - posterior.evidence, 0.0), _evidence_limit(posterior)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
     ):
         # A search of the corrected readings seldom raises the odds: it finds more to explain in the
         # readings as they stand. So alternatives that are far behind are not searched.
-        if posterior.evidence + log_odds + TWENTY_TO_ONE < best[0]:
+        likely = posterior.evidence + log_odds + TWENTY_TO_ONE
+        if min(likely, limit + alternative.log_odds) < best[0]:
             continue
         try:
             corrected = with_faults_corrected(base.problem, [alternative])
@@ -89,6 +90,19 @@ def likeliest_misreading(
             candidate = other.evidence + alternative.log_odds, alternative
             best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
     return best
+
+
+def _evidence_limit(posterior: FullPosterior) -> float:
+    """Return the log evidence that alternative readings of the same rows seldom exceed: without
+    causes, with a chi2 of its mean less a standard deviation, or of the best explanation of the
+    readings as they stand if that is less.
+    """
+    mixture, model = posterior.mixture, posterior.linearised
+    remaining = mixture.chi2 + mixture.linear.station_remainder.chi2 + model.unexplainable_chi2
+    dof = len(model.value_at_zero) - model.nuisance.unconstrained_count
+    chi2 = min(dof - np.sqrt(2 * dof), remaining) - model.unexplainable_chi2
+    log_weight = max(scale.basis.largest_log_z for scale in mixture.scales) - chi2 / 2
+    return float(posterior.evidence + log_weight - mixture.log_weight(mixture.best))
 
 
 def check_drive_order(estimate: Estimate) -> None:
