@@ -314,7 +314,7 @@ def _joint_differences(
     separate = [f"{name}@{first_later}" for name in names]
     noise = request.noise if request.campaigns else None
     problem_of_both = assemble(tables, request.machine, names, per_campaign=separate, noise=noise)
-    fit = account_for_changes(solve(problem_of_both))
+    fit = account_for_changes(solve(problem_of_both, method="nested"))
     catalogue, changed = request.machine.catalogue, {c.parameter for c in changes}
     places: dict[Parameter, list[int]] = {}
     for k, unknown in enumerate(fit.names):
