@@ -5,9 +5,10 @@ Visits to a station have equal rows, except where a column depends on time or on
 equal weights, the mean of readings with equal rows is sufficient for the coefficients.
 
 Rows are processed in blocks of whole stations. With whitened, projected columns A of unit
-length, ``A^T A = V L V^T`` gives orthonormal directions ``A V L^-1/2``, in which columns, residual
-and station errors are expressed. Of the residual orthogonal to them only the sum of squares over
-the stations, and its degrees of freedom, are kept.
+length, the pivoted Cholesky factor ``A^T A = L L^T`` gives orthonormal directions ``A_k L_k^-T`` of
+the columns k that it keeps, in which columns, residual and station errors are expressed. Of the
+residual orthogonal to them only the sum of squares over the stations, and its degrees of freedom,
+are kept.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpstrf
 
 from orthoglide.explanation.linear_model import NO_REMAINDER, StationRemainder
 from orthoglide.fit import Problem
@@ -36,7 +39,7 @@ MOST_RANKED_READINGS = 10_000
 for more, four matrices by unknowns take over 0.4 GB."""
 
 _BLOCK = 4096  # readings in a block, which is no larger than readings that are not compressed
-_ROUNDING = 1e-13  # share of the largest eigenvalue below which a direction is rounding
+_ROUNDING = 1e-12  # share of a column's square below which what others leave of it is rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -188,20 +191,27 @@ def compress_readings(
         station_chi2 += float(np.sum(weighing.station_components(whitened[:, -1]) ** 2))
     length = np.sqrt(np.diag(gram)[:-1])
     length = np.where(length > 0, length, 1.0)
-    values, vectors = np.linalg.eigh(gram[:-1, :-1] / length / length[:, None])
-    kept = values > _ROUNDING * max(values.max(initial=0.0), 1.0)
-    values, vectors = values[kept], vectors[:, kept]
-    transform = (vectors / np.sqrt(values)) / length[:, None]
-    columns = np.asarray((vectors * np.sqrt(values)).T * length)
-    compressed_residual = transform.T @ gram[:-1, -1]
+    scaled = gram[:-1, :-1] / length / length[:, None]
+    factor, order, rank, _ = dpstrf(scaled, tol=_ROUNDING, lower=1, overwrite_a=1)
+    order -= 1
+    columns, kept, root = np.empty((rank, len(order))), order[:rank], factor[:rank, :rank]
+    columns[:, order] = np.tril(factor[:, :rank]).T
+    columns *= length
+
+    def in_directions(products: Array) -> Array:
+        """Return inner products with the directions from those with the columns kept."""
+        return np.asarray(solve_triangular(root, (products.T / length[kept]).T, lower=True))
+
+    compressed_residual = in_directions(gram[kept, -1])
     stations = nuisance.weighing.first_rows
     remainder = max(station_chi2 - float(compressed_residual @ compressed_residual), 0.0)
-    dof = max(len(stations) - nuisance.unconstrained_count - len(values), 0)
+    dof = max(len(stations) - nuisance.unconstrained_count - rank, 0)
     visits = len(residual) / len(stations)
-    square = transform.T @ station_gram[:-1, :-1] @ transform
+    square = in_directions(in_directions(station_gram[np.ix_(kept, kept)]).T)
     values, vectors = np.linalg.eigh((square + square.T) / 2)
-    root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-    return columns, compressed_residual, root, StationRemainder(remainder, float(dof), visits)
+    station_root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    remaining = StationRemainder(remainder, float(dof), visits)
+    return columns, compressed_residual, station_root, remaining
 
 
 def _station_blocks(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:
