@@ -290,8 +290,8 @@ class Signatures:
         for candidate in self.candidates:
             columns = self.signature(candidate)
             gram, products = columns.T @ columns, residuals.T @ columns
-            explained, occam = explained_by_group(gram, products, chi2, tau=1.0)
-            evidences.append(explained / 2 - occam)
+            explained, occam = explained_by_group(gram, products, chi2, [1.0])
+            evidences.append((explained / 2 - occam)[..., 0])
         return np.stack(evidences)
 
 

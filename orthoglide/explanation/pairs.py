@@ -55,37 +55,56 @@ def likely_pairs(
     allowed = np.flatnonzero(np.isfinite(cost))
     first, second = (allowed[k] for k in np.triu_indices(len(allowed), 1))
     coarse = np.flatnonzero(coarse_scales)
-    if not len(first):
+    if not len(first) or not len(coarse):
         return
     components, products, *_ = partial
     square = np.diagonal(crossed, axis1=1, axis2=2) - (components**2).sum(axis=1)
 
-    def gain(
-        at: NDArray[np.intp] | slice, pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
-        cross: Array, taus: tuple[float, float],
-    ) -> Array:  # fmt: skip
-        """Return the log likelihood that pairs gain, less half their log determinant."""
-        (i, j), (tau_i, tau_j), squares, shown = pairs, taus, square[at], products[at]
-        explained, determinant = explained_by_two(
-            (1 + tau_i**2 * squares)[:, i], (1 + tau_j**2 * squares)[:, j],
-            tau_i * tau_j * cross, tau_i * shown[:, i], tau_j * shown[:, j],
-        )  # fmt: skip
-        return (explained - np.log(determinant)) / 2
-
-    # First all pairs at equal taus and few background scales.
-    along = components[coarse]
-    cross = (crossed[coarse] - along.transpose(0, 2, 1) @ along)[:, first, second]
-    table = np.stack([gain(coarse, (first, second), cross, (tau, tau)) for tau in slabs])
-    table += log_weights[coarse, None]
-    top = table.max(axis=(0, 1))  # faster than by logaddexp
-    pooled = top + np.log(np.exp(table - top).sum(axis=(0, 1))) - cost[first] - cost[second]
-    likely = np.flatnonzero(pooled > pooled.max() - _NEAR_LOG_ODDS)
-    order = likely[descending(pooled[likely], LOG_ODDS_MARGIN)[:_MOST_PAIRS]]
-    i, j = first[order], second[order]
+    # First all pairs at equal taus and few background scales, by the best of these.
+    prior, best = -cost[first] - cost[second], np.full(len(first), -np.inf)
+    for k in coarse:
+        cross = (crossed[k] - components[k].T @ components[k])[first, second]
+        for tau in slabs:
+            found = _gain(square[k], products[k], (first, second), cross, (tau, tau))
+            np.maximum(best, found + log_weights[k], out=best)
+    best += prior
+    likely = np.flatnonzero(best > best.max() - _NEAR_LOG_ODDS - np.log(len(coarse) * len(slabs)))
+    i, j = first[likely], second[likely]
     cross = crossed[:, i, j] - (components[:, :, i] * components[:, :, j]).sum(axis=1)
+    given = square[coarse], products[coarse], (i, j), cross[coarse]
+    gains = np.stack([_gain(*given, (tau, tau)) for tau in slabs])
+    pooled = np.logaddexp.reduce(gains + log_weights[coarse, None], axis=(0, 1)) + prior[likely]
+    near = np.flatnonzero(pooled > pooled.max() - _NEAR_LOG_ODDS)
+    order = near[descending(pooled[near], LOG_ODDS_MARGIN)[:_MOST_PAIRS]]
+    i, j, cross = i[order], j[order], cross[:, order]
     prior_weights, tau_pairs = log_weights[:, None] - cost[i] - cost[j], [*product(slabs, slabs)]
-    weights_by_tau = [prior_weights + gain(slice(None), (i, j), cross, t) for t in tau_pairs]
+    given = square, products, (i, j), cross
+    weights_by_tau = [prior_weights + _gain(*given, taus) for taus in tau_pairs]
     least_weight = max(float(f.max()) for f in weights_by_tau) - _NEGLIGIBLE_LOG_ODDS
     for (tau, other_tau), weights in zip(tau_pairs, weights_by_tau, strict=True):
         for k in np.flatnonzero(weights.max(axis=0) > least_weight):
             yield int(i[k]), tau, int(j[k]), other_tau, weights[:, k]
+
+
+def _gain(
+    squares: Array,
+    products: Array,
+    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
+    cross: Array,
+    taus: tuple[float, float],
+) -> Array:
+    """Return the log likelihood that pairs gain, less half their log determinant ``(..., p)``.
+
+    Args:
+        squares: of the causes' columns ``(..., n)``.
+        products: of these columns and the residual ``(..., n)``.
+        pairs: first and second causes ``(p,)``.
+        cross: inner products of their columns ``(..., p)``.
+        taus: of the first and of the second causes.
+    """
+    (i, j), (tau_i, tau_j) = pairs, taus
+    explained, determinant = explained_by_two(
+        (1 + tau_i**2 * squares)[..., i], (1 + tau_j**2 * squares)[..., j],
+        tau_i * tau_j * cross, tau_i * products[..., i], tau_j * products[..., j],
+    )  # fmt: skip
+    return (explained - np.log(determinant)) / 2

@@ -80,16 +80,15 @@ class Screening:
         for scale in _BACKGROUNDS:
             sd = np.sqrt(self.linear.spike(scale, scale))
             scaled = np.hstack([columns * sd, columns @ active])
+            root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
+            remaining = solve_triangular(root, whitened_residual, lower=True)
             if dense:
-                root = np.linalg.cholesky(scaled @ scaled.T + np.eye(len(scaled)))
-                remaining = solve_triangular(root, whitened_residual, lower=True)
                 whitened_columns = solve_triangular(root, faults, lower=True)
                 blocks = np.split(whitened_columns.T, ends[:-1])
                 scored = [(block.reshape(len(each), -1, len(remaining)), remaining)
                           for each, block in zip(self.families, blocks, strict=True)]  # fmt: skip
             else:
-                precision = scaled.T @ scaled + np.eye(scaled.shape[1])
-                mean = np.linalg.solve(precision, scaled.T @ whitened_residual)
+                mean = scaled.T @ solve_triangular(root, remaining, lower=True, trans="T")
                 mean = sd * mean[: len(sd)] + active @ mean[len(sd) :]
                 remaining = self.residual - self.rows @ mean
                 remaining = remaining - self.nuisance.explained_residual(remaining)
@@ -119,5 +118,5 @@ def _log_bayes_factors(columns: Array, residual: Array) -> Array:
     """
     gram, chi2 = columns @ columns.transpose(0, 2, 1), np.sum(residual**2, axis=-1)
     products = (columns @ residual[..., None])[..., 0]
-    by_scale = (explained_by_group(gram, products, chi2, tau) for tau in SLAB_SCALES)
-    return np.asarray(np.max([explained / 2 - occam for explained, occam in by_scale], axis=0))
+    explained, occam = explained_by_group(gram, products, chi2, SLAB_SCALES)
+    return np.asarray(np.max(explained / 2 - occam, axis=-1))

@@ -30,7 +30,7 @@ from orthoglide.explanation.linear_model import (
     scale_grid,
 )
 from orthoglide.explanation.pairs import PartialProducts, likely_pairs
-from orthoglide.fit.least_squares import rounding
+from orthoglide.fit.least_squares import explained_by_two, rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
 
@@ -164,6 +164,9 @@ class Search:
         if state not in self.visited:
             self.visited[state] = self._log_weights(state, partial)
         weights = self.visited[state]
+        # A pair explains at most all of chi2 that remains.
+        limits = weights + (self._chi2 - partial.explained) / 2
+        is_possible = limits > self.log_weight(self.best)
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])
         for i, tau, j, other_tau, log_weights in likely_pairs(
@@ -172,7 +175,7 @@ class Search:
             partial,
             weights,
             cost,
-            self._coarse_scales,
+            self._coarse_scales & is_possible,
         ):
             pair = (int(singles[i]), tau), (int(singles[j]), other_tau)
             states.append(tuple(sorted((*state, *pair))))
@@ -221,8 +224,8 @@ class Search:
 
         Both ``(scales, groups, taus)``; the second is half the log determinant.
         """
-        shape = len(self.scales), len(self.linear.groups), len(self.linear.slab_scales)
-        explained, occam = np.zeros(shape), np.zeros(shape)
+        taus = self.linear.slab_scales
+        explained, occam = np.zeros((2, len(self.scales), len(self.linear.groups), len(taus)))
         components, products, *_ = partial
         chi2 = self._chi2[:, None]
         for size, members in self._by_size.items():
@@ -232,9 +235,8 @@ class Search:
             # If active groups have an equal signature, rounding may make the difference negative.
             remaining = gram - parts @ parts.transpose(0, 1, 3, 2)
             remaining += rounding(gram)
-            for t, tau in enumerate(self.linear.slab_scales):
-                gains = explained_by_group(remaining, products[:, index], chi2, tau)
-                explained[:, members, t], occam[:, members, t] = gains
+            gains = explained_by_group(remaining, products[:, index], chi2, taus)
+            explained[:, members], occam[:, members] = gains
         return explained, occam
 
     @cached_property
@@ -329,9 +331,9 @@ class Search:
 
 
 def explained_by_group(
-    gram: Array, products: Array, chi2_bound: Array, tau: float
+    gram: Array, products: Array, chi2_bound: Array, taus: Sequence[float]
 ) -> tuple[Array, Array]:
-    """Return what each group explains of chi2, and half the log determinant, both ``(...)``.
+    """Return what each group explains of chi2, and half the log determinant, both ``(..., taus)``.
 
     With noise as declared, half the first less the second is the log Bayes factor of the group.
 
@@ -339,20 +341,30 @@ def explained_by_group(
         gram: Gram matrices of the groups' columns ``(..., k, k)``.
         products: inner products of these columns and the residual ``(..., k)``.
         chi2_bound: upper bound of the squared residual, broadcast to ``(...)``.
-        tau: scale of the slab.
+        taus: scales of the slab.
     """
-    count = products.shape[-1]
+    count, tau, along = products.shape[-1], np.array(taus), products[..., None] * np.array(taus)
+    squares = gram.diagonal(axis1=-2, axis2=-1)[..., None] * tau**2
     if count == 1:
-        variance = 1 + tau**2 * gram[..., 0, 0]
-        explained = (tau * products[..., 0]) ** 2 / variance
-        return np.asarray(explained), np.asarray(np.log(variance) / 2)
+        variance = 1 + squares[..., 0, :]
+        return np.asarray(along[..., 0, :] ** 2 / variance), np.asarray(np.log(variance) / 2)
+    if count == 2:
+        (first, second), (x, y) = (np.moveaxis(of_both, -2, 0) for of_both in (1 + squares, along))
+        cross = gram[..., 0, 1, None] * tau**2
+        explained, determinant = explained_by_two(first, second, cross, x, y)
+        return explained, np.asarray(np.log(determinant) / 2)
     bordered = np.zeros((*products.shape[:-1], count + 1, count + 1))
-    bordered[..., :count, :count] = tau**2 * gram + np.eye(count)
-    bordered[..., count, :count] = tau * products
+    bordered[..., :count, :count] = gram
+    bordered[..., count, :count] = products
     # The last pivot of the bordered matrix is the corner less what the group explains. The corner
     # exceeds that by far, so that rounding cannot make the pivot negative.
     corner = 2.0 * chi2_bound + 1.0
     bordered[..., count, count] = corner
-    root = np.diagonal(np.linalg.cholesky(bordered), axis1=-2, axis2=-1)
-    explained = corner - root[..., count] ** 2
-    return np.asarray(explained), np.asarray(np.log(root[..., :count]).sum(axis=-1))
+    explained, occam = np.zeros((2, *products.shape[:-1], len(tau)))
+    diagonal, places = bordered.diagonal(axis1=-2, axis2=-1)[..., :count].copy(), range(count)
+    for t, scale in enumerate(taus):
+        bordered[..., places, places] = diagonal + scale**-2
+        root = np.linalg.cholesky(bordered).diagonal(axis1=-2, axis2=-1)
+        explained[..., t] = corner - root[..., count] ** 2
+        occam[..., t] = np.log(scale * root[..., :count]).sum(axis=-1)
+    return explained, occam
