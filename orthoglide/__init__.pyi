@@ -66,7 +66,6 @@ from orthoglide.observations import (
     write_campaign as write_campaign,
 )
 from orthoglide.planning import (
-    Design as Design,
     Suggestion as Suggestion,
     design as design,
     next_measurements as next_measurements,
@@ -74,6 +73,7 @@ from orthoglide.planning import (
     smallest_effects as smallest_effects,
     tool_sheets as tool_sheets,
 )
+from orthoglide.planning.designs import Design as Design
 from orthoglide.rehearsal import Rehearsal as Rehearsal, rehearse as rehearse
 from orthoglide.result import Result as Result
 from orthoglide.simulation import simulate as simulate, simulate_tcp as simulate_tcp

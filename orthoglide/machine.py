@@ -32,7 +32,7 @@ from orthoglide.observations import Readings
 from orthoglide.prediction import Conditions, MeasurementModel, Model
 from orthoglide.scene import Posed, drawing
 from orthoglide.text import printable_path
-from orthoglide.urdf import held_parameters
+from orthoglide.urdf.parallel import held_parameters
 
 
 @public

@@ -18,8 +18,8 @@ from orthoglide.observations import Readings
 from orthoglide.ordering import largest
 from orthoglide.parameters import Parameter
 from orthoglide.prediction import Conditions
-from orthoglide.scene import Dial, Mark, Option, Posed, stroke_commands
-from orthoglide.scene.parts import Part
+from orthoglide.scene import Dial, Mark, Option, Posed
+from orthoglide.scene.parts import Part, stroke_commands
 
 SHOWN_CONDITIONS: Mapping[str, float] = {
     "approach": 1.0, "time": 3600.0, "warming": 10.0, "load": 10.0,

@@ -37,7 +37,8 @@ class Verdict(Result):
         Raises:
             FileError: if the folder is not empty and not replaced, or cannot be written.
         """
-        from orthoglide.report import check_folder, report_files, write_folder
+        from orthoglide.report import report_files, write_folder
+        from orthoglide.report.folder import check_folder
 
         out = as_path(folder)
         check_folder(out, overwrite)

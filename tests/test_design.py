@@ -28,7 +28,6 @@ from orthoglide.planning import (
     detectable_rows,
     next_measurements,
     observability,
-    reading_pool,
     repeats_needed,
     smallest_effects,
     suggest_separating_located_errors,
@@ -36,6 +35,7 @@ from orthoglide.planning import (
 from orthoglide.planning.designs import Observability
 from orthoglide.planning.detectable import noncentrality, required_separation
 from orthoglide.planning.linear import CombinationPrecision, LinearReadings, RivalSeparation
+from orthoglide.planning.sheets import reading_pool
 from tests.factors import problem_of
 from tests.rig import Rig
 from tests.rig_campaigns import APPROACH, read_csv, s_curve, simulate, write_csv

@@ -18,8 +18,8 @@ from click.testing import CliRunner
 import orthoglide as og
 from orthoglide.cli import cli
 from orthoglide.errors import FileError, InputError
-from orthoglide.measuring import SETTLED_CRITERION, Record, Session, SessionEnd, opening_sheet
-from orthoglide.measuring.session import parse_answer
+from orthoglide.measuring import Record, Session
+from orthoglide.measuring.session import SETTLED_CRITERION, SessionEnd, opening_sheet, parse_answer
 from tests.rig import Rig
 from tests.rig_campaigns import read_csv
 from tests.rig_operator import Operator

@@ -22,7 +22,8 @@ from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning import Suggestion
-from orthoglide.result import Action, Cause, Located, Suspect, Withheld
+from orthoglide.result import Action, Cause, Located, Suspect
+from orthoglide.result.display import Withheld
 from orthoglide.text import MACHINE_OPTION, listed, lower_first
 
 _MOST_RIVALS = 6  # single causes between which readings are proposed; pairs grow by the square

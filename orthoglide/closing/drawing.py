@@ -16,7 +16,8 @@ from orthoglide.geometry import LEGS
 from orthoglide.machine import Machine
 from orthoglide.numerals import compact
 from orthoglide.pictures import dials, joint_mark, option
-from orthoglide.result import Curve, Picture
+from orthoglide.result import Curve
+from orthoglide.result.display import Picture
 from orthoglide.scene import Mark, Option
 
 

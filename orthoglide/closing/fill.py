@@ -25,18 +25,11 @@ from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
 from orthoglide.planning import next_sheet
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import (
-    Fit,
-    Noise,
-    Possible,
-    Proposal,
-    Result,
-    SetupNoise,
-    Unseen,
-    Workspace,
-    encoded,
-    fits,
-)
+from orthoglide.result import Result, Workspace, encoded, fits
+from orthoglide.result.display import Proposal
+from orthoglide.result.findings import Possible
+from orthoglide.result.fits import Fit, Noise, SetupNoise
+from orthoglide.result.result import Unseen
 from orthoglide.threads import on_one_thread
 
 _ROUNDING = 1e-12

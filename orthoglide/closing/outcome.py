@@ -19,17 +19,9 @@ from orthoglide.notes import Note
 from orthoglide.numerals import distinct_figures
 from orthoglide.observations import Readings
 from orthoglide.observations.touched_plates import disagreements
-from orthoglide.result import (
-    BudgetItem,
-    DataFault,
-    HoldOut,
-    Identified,
-    Judged,
-    LackOfFit,
-    Request,
-    TcpErrors,
-    Word,
-)
+from orthoglide.result import BudgetItem, DataFault, HoldOut, LackOfFit, Request, TcpErrors, Word
+from orthoglide.result.fits import Identified
+from orthoglide.result.result import Judged
 from orthoglide.text import sentence
 
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from orthoglide.errors import FileError, InputError
 from orthoglide.geometry import Array, Geometry
 from orthoglide.text import printable_path
-from orthoglide.urdf import Closure, generated_files, read_looped_urdf, shipped_folder
+from orthoglide.urdf import Closure, read_looped_urdf, shipped_folder
+from orthoglide.urdf.parallel import generated_files
 
 JointFactory = Callable[[], Any]
 """Returns the Pinocchio model of a joint that is not in the URDF."""

@@ -8,18 +8,11 @@ from orthoglide.observations.reading import (
     read_campaign as read_campaign,
     read_readings as read_readings,
     read_tcp as read_tcp,
-    readings_from_rows as readings_from_rows,
 )
-from orthoglide.observations.readings import (
-    Points as Points,
-    Readings as Readings,
-    Setup as Setup,
-    source as source,
-)
+from orthoglide.observations.readings import Readings as Readings, Setup as Setup, source as source
 from orthoglide.observations.tables import (
     concatenated as concatenated,
     from_points as from_points,
-    renumbered as renumbered,
     split_legs_and_tool as split_legs_and_tool,
 )
 from orthoglide.observations.writing import (

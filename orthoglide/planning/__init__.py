@@ -1,8 +1,6 @@
 """Readings to take for an identification, before any measurement and next, and what they show."""
 
 from orthoglide.planning.designs import (
-    Design as Design,
-    Repeats as Repeats,
     aliasing as aliasing,
     design as design,
     index_table as index_table,
@@ -11,7 +9,6 @@ from orthoglide.planning.designs import (
 )
 from orthoglide.planning.detectable import (
     detectable_rows as detectable_rows,
-    predicted_problem as predicted_problem,
     smallest_effects as smallest_effects,
 )
 from orthoglide.planning.instrument_choice import (
@@ -21,11 +18,7 @@ from orthoglide.planning.rivals import (
     next_measurements as next_measurements,
     suggest_separating_located_errors as suggest_separating_located_errors,
 )
-from orthoglide.planning.sheets import (
-    reading_pool as reading_pool,
-    sheets_by_kind as sheets_by_kind,
-    tool_sheets as tool_sheets,
-)
+from orthoglide.planning.sheets import sheets_by_kind as sheets_by_kind, tool_sheets as tool_sheets
 from orthoglide.planning.suggestions import (
     Suggestion as Suggestion,
     next_sheet as next_sheet,

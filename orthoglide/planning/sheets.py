@@ -15,10 +15,11 @@ from orthoglide.errors import UnreachableError, check_choice, check_list
 from orthoglide.geometry import LEGS, Array, Geometry
 from orthoglide.instruments import OBSERVATIONS, Observation
 from orthoglide.machine import Machine, MachineSource
-from orthoglide.observations import Moves, Readings, Setup, protocol, renumbered
+from orthoglide.observations import Moves, Readings, Setup, protocol
 from orthoglide.observations.approach import stroke_overshoot
 from orthoglide.observations.checks import DECIMALS
 from orthoglide.observations.protocols import dial_setup, require_dial_layout
+from orthoglide.observations.tables import renumbered
 from orthoglide.threads import on_one_thread
 
 DIAL_TRAVEL = 5e-3

@@ -22,7 +22,7 @@ from orthoglide.machine_file.values import largest_value
 from orthoglide.numerals import compact
 from orthoglide.observations import Readings
 from orthoglide.parameters import Parameter, split_campaign
-from orthoglide.planning import predicted_problem
+from orthoglide.planning.detectable import predicted_problem
 from orthoglide.report.terminal import console_text, table
 from orthoglide.result import Result
 from orthoglide.simulation import simulate, simulate_tcp

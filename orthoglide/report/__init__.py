@@ -6,11 +6,7 @@ Everything here reads a `Result` and computes nothing of its own.
 from __future__ import annotations
 
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.report.folder import (
-    check_folder as check_folder,
-    result_text as result_text,
-    write_folder as write_folder,
-)
+from orthoglide.report.folder import result_text as result_text, write_folder as write_folder
 from orthoglide.report.terminal import summary as summary
 from orthoglide.result import Result
 

@@ -11,7 +11,8 @@ from orthoglide.effects import CATALOGUE, Catalogue
 from orthoglide.effects.wording import parameter_words
 from orthoglide.numerals import compact, decimals_for, distinct_figures, probability, signed
 from orthoglide.ordering import best_of
-from orthoglide.result import CandidateScore, Result, Scores, WeakDirection
+from orthoglide.result import CandidateScore, Result, WeakDirection
+from orthoglide.result.fits import Scores
 from orthoglide.text import listed, sentence
 
 _SIGMA_WITHOUT_PRIORS = "one sigma of the readings alone, without priors"

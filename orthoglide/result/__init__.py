@@ -12,11 +12,8 @@ from orthoglide.result.codec import decoded as decoded, encoded as encoded
 from orthoglide.result.display import (
     Action as Action,
     Mounting as Mounting,
-    Picture as Picture,
-    Proposal as Proposal,
     ReadingsShown as ReadingsShown,
     Suspect as Suspect,
-    Withheld as Withheld,
     Workspace as Workspace,
 )
 from orthoglide.result.findings import (
@@ -26,19 +23,13 @@ from orthoglide.result.findings import (
     DataRival as DataRival,
     Explanation as Explanation,
     Located as Located,
-    Possible as Possible,
 )
 from orthoglide.result.fits import (
     BudgetItem as BudgetItem,
     Change as Change,
     DataFault as DataFault,
-    Fit as Fit,
     HoldOut as HoldOut,
-    Identified as Identified,
     LackOfFit as LackOfFit,
-    Noise as Noise,
-    Scores as Scores,
-    SetupNoise as SetupNoise,
     SetupResidual as SetupResidual,
     TcpErrors as TcpErrors,
     WeakDirection as WeakDirection,
@@ -49,9 +40,4 @@ from orthoglide.result.request import (
     read_result as read_result,
     request_of as request_of,
 )
-from orthoglide.result.result import (
-    Judged as Judged,
-    Result as Result,
-    Unseen as Unseen,
-    Word as Word,
-)
+from orthoglide.result.result import Result as Result, Word as Word

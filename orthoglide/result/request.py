@@ -24,17 +24,11 @@ from orthoglide.instruments import Frame
 from orthoglide.machine import Machine
 from orthoglide.machine_file import MachineFile, machine_text, parse_machine_file
 from orthoglide.machine_file.posterior import parse_posterior, posterior_bytes
-from orthoglide.observations import (
-    Readings,
-    Setup,
-    campaign_rows,
-    csv_text,
-    readings_from_rows,
-    split_legs_and_tool,
-)
+from orthoglide.observations import Readings, Setup, campaign_rows, csv_text, split_legs_and_tool
+from orthoglide.observations.reading import readings_from_rows
 from orthoglide.result.codec import Key, decoded, decoded_fields, encoded
 from orthoglide.text import MACHINE_OPTION, abbreviated, unprintable_problem
-from orthoglide.urdf import urdf_digests
+from orthoglide.urdf.parallel import urdf_digests
 
 Command = Literal["identify", "close-loop", "diagnose", "demo"]
 COMMANDS: tuple[Command, ...] = get_args(Command)

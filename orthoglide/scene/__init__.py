@@ -4,10 +4,4 @@ Nothing here computes a posture: what is drawn is given in metres, in the base f
 """
 
 from orthoglide.scene.drawing import drawing as drawing
-from orthoglide.scene.parts import (
-    Dial as Dial,
-    Mark as Mark,
-    Option as Option,
-    Posed as Posed,
-    stroke_commands as stroke_commands,
-)
+from orthoglide.scene.parts import Dial as Dial, Mark as Mark, Option as Option, Posed as Posed

@@ -13,12 +13,9 @@ al. 2008, section 2.1); thicknesses, masses and the frame are plausible and not 
 
 from orthoglide.urdf.parallel import (
     ParallelRobot as ParallelRobot,
-    generated_files as generated_files,
-    held_parameters as held_parameters,
     parallel_robot_files as parallel_robot_files,
     read_looped_urdf as read_looped_urdf,
     read_parallel_robot as read_parallel_robot,
-    urdf_digests as urdf_digests,
 )
 from orthoglide.urdf.tree import (
     CLOSURES_FILE as CLOSURES_FILE,
