@@ -24,7 +24,7 @@ from orthoglide.parameters import Parameter
 from orthoglide.report.claims import probability_words
 from orthoglide.report.page import budget, render_template
 from orthoglide.report.rows import _rms_change
-from orthoglide.report.sentences import _comparison_with_noise
+from orthoglide.report.sentences import _comparison_with_noise, finding_text
 from orthoglide.report.terminal import action_lines
 from orthoglide.result import Action, BudgetItem, Cause, Explanation, Suspect
 from orthoglide.verdict import Verdict
@@ -353,3 +353,15 @@ def test_a_question_on_where_to_look_ends_its_sentence() -> None:
         "   - The rail leans: look at its seat: does it give? Set a dial: expect 1 mm.",
         "   - The rail leans: look at its seat: does it give?",
     ]
+
+
+@pytest.mark.parametrize("word", ["adequate", "diffuse"])
+def test_small_errors_of_every_part_are_found_by_the_verdict_that_says_so_alone(word: str) -> None:
+    """*Adequate* stood above "every part is off by about 0.02 of its tolerance"."""
+    found = made_up(word)
+    scores = replace(found.before.scores, lack_of_fit_p=0.004 if word == "adequate" else 0.002)
+    text = finding_text(replace(found, before=replace(found.before, scores=scores), possible=()))
+    assert ("every part is off by about" in text) == (word == "diffuse")
+    by_chance = "noise alone leaves as large a residual with probability 0.004."
+    nothing = "wrong that these readings could show beyond the joint offsets and leg lengths: "
+    assert (f"{nothing}{by_chance}" in text) == (word == "adequate")

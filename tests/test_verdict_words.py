@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from orthoglide.closing import build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.free_form import FreeForm, Session, free_forms
 from orthoglide.effects.free_form_place import Dependence, Part
@@ -15,11 +16,13 @@ from orthoglide.effects.free_form_words import confirming_test
 from orthoglide.effects.kernels import Level
 from orthoglide.effects.wording import cause_short
 from orthoglide.explanation import credible_sets, full_posterior, posterior_lack_of_fit
-from orthoglide.explanation.causes import CredibleSets, curve_of
+from orthoglide.explanation.causes import CredibleSets, curve_of, fitted_beyond_tolerance
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
+from orthoglide.fit.notes import notes
 from orthoglide.numerals import compact
 from orthoglide.report.sentences import headline
+from orthoglide.result import Request
 from tests import rig_campaigns as rc
 from tests.factors import campaign_of
 from tests.rig import LEGS, Rig
@@ -73,6 +76,27 @@ def test_bars_of_one_wrong_length_are_a_cause_beside_drives_that_move_too_little
     size = {one.name: one.values.get(one.name) for one in cause.explanations}
     assert {"encoder_scale.common", "leg_length.common"} <= set(size)
     assert size["leg_length.common"] == pytest.approx(8e-4, rel=0.3)
+
+
+def test_a_fitted_part_far_beyond_its_tolerance_is_a_finding(machine: og.Machine) -> None:
+    """It was *adequate*, and beneath that 9.2 times its tolerance; zeros are set."""
+    rig = Rig().with_errors({"joint_offset.x": 7e-3, "leg_length.y": 9e-4})
+    rows = rc.simulate(rig, "two-gauges", np.random.default_rng(4), background=0.0)
+    outcome = compute_outcome(Request("identify", (campaign_of(rows, machine),), machine))
+    assert outcome.word == "explained"
+    assert [cause.name for cause in outcome.effects] == ["leg_length.y"]
+    said = [note for note in notes(outcome.after) if note.kind == "tolerance"]
+    assert [note.partition(" is ")[0] for note in said] == [
+        "joint offset of leg x",
+        "leg length of leg y",
+    ]
+    result = build_result(outcome, og.Verdict)
+    assert headline(result).startswith("The bars of leg y are 0.9")
+    assert "falls from" in headline(result)
+    uncertain = replace(outcome.after, covariance=4e-7 * np.eye(len(outcome.after.names)))
+    assert not fitted_beyond_tolerance(uncertain)
+    (note,) = (note for note in notes(uncertain) if note.startswith("leg length"))
+    assert "but so uncertain (± 0.63 mm) that it may be within its tolerance of 0.1 mm" in note
 
 
 def test_a_cause_that_is_one_of_several_is_told() -> None:

@@ -17,7 +17,7 @@ from orthoglide.explanation import (
     posterior_lack_of_fit,
 )
 from orthoglide.explanation.assumed_noise import with_refuted_noise_enlarged
-from orthoglide.explanation.causes import smallest_count
+from orthoglide.explanation.causes import fitted_beyond_tolerance, smallest_count
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
@@ -182,9 +182,12 @@ def _identify_only(request: Request, progress: Progress) -> RunOutcome:
         request.given, request.machine, request.free, own=request.own, priors=request.priors,
         noise=request.noise, method="reduction" if request.reduced else "auto", frame=request.frame,
     )  # fmt: skip
-    fit_test = estimate_lack_of_fit(estimate)
+    fit_test, sets = estimate_lack_of_fit(estimate), CredibleSets()
+    if (word := _verdict(sets, fit_test)) == "adequate":  # parts beyond tolerance are not adequate
+        sets = CredibleSets(effects=fitted_beyond_tolerance(estimate))
+        word = _verdict(sets, fit_test)
     return RunOutcome(
-        request=request, word=_verdict(CredibleSets(), fit_test), before=estimate, after=estimate,
+        **vars(sets), request=request, word=word, before=estimate, after=estimate,
         residual_test=fit_test, changed=estimate.changes,
     )  # fmt: skip
 

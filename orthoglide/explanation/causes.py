@@ -13,6 +13,7 @@ from orthoglide.effects import free_form_words
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.effects.free_form_place import Range
 from orthoglide.explanation.full_posterior import FullPosterior
+from orthoglide.fit import Estimate
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
@@ -198,6 +199,30 @@ def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
                 if common and common[0].name == pattern and len(common) < len(causes):
                     causes = common
         yield from causes
+
+
+def fitted_beyond_tolerance(estimate: Estimate) -> tuple[Cause, ...]:
+    """Return the fitted parameters that certainly exceed three tolerances, except zeros of drives
+    and what an earlier calibration found: those of which the notes on a fit say so.
+    """
+    problem, values, sigmas = estimate.problem, estimate.values, estimate.sigmas
+    catalogue, causes = problem.machine.catalogue, list[Cause]()
+    margin = CERTAIN_SIGMAS * np.sqrt(np.diag(estimate.covariance))
+    for k in np.flatnonzero(problem.is_implausible(estimate.x, margin)):
+        name, limit = problem.names[k], MAX_TOLERANCES * problem.unknowns[k].tolerance
+        if catalogue.effect_of(name).controller == "zero":
+            continue
+        explanation = Explanation(
+            str(name),
+            (str(name),),
+            float(ndtr((abs(values[name]) - limit) / sigmas[name])),
+            {str(name): values[name]},
+            {str(name): sigmas[name]},
+            catalogue,
+            estimate.machine.values,
+        )
+        causes.append(Cause(explanation))
+    return tuple(causes)
 
 
 def _beyond_tolerance(

@@ -12,6 +12,7 @@ from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
 from orthoglide.fit.problem import CERTAIN_SIGMAS, Problem
 from orthoglide.fit.repeats import MAX_NOISE_RATIO
+from orthoglide.geometry import Array
 from orthoglide.instruments import PRINTED, SHRINKAGE_BY_MATERIAL
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, with_sigma
@@ -70,7 +71,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
     if estimate.method != "posterior":  # whose means are over several explanations
-        collected += tolerance_notes(estimate, sigmas=0.0)
+        collected += [*tolerance_notes(estimate), *_uncertain_tolerance_notes(estimate)]
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
@@ -117,19 +118,40 @@ def _copied_point_lines(table: Readings) -> tuple[int, ...]:
 
 def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Iterator[Note]:
     """Yield notes on parameters that exceed their limits by so many standard deviations."""
-    problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
-    margin = sigmas * np.sqrt(np.diag(estimate.covariance))
-    for k in np.flatnonzero(problem.is_implausible(estimate.x, margin)):
-        unknown = problem.unknowns[k]
-        unit, value = estimate.unit(unknown.name), float(estimate.x[k])
-        text = (
-            f"{difference_words(catalogue, unknown.name)} is "
-            f"{signed_size(catalogue.effect_of(unknown.name), value)}, "
-            f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
-            f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}: measure it; if it is "
-            f"so and will not be repaired, enter a larger tolerance in the machine file"
-        )
-        yield Note(text, "tolerance")
+    problem = estimate.problem
+    for k in np.flatnonzero(problem.is_implausible(estimate.x, _margin(estimate, sigmas))).tolist():
+        tolerance = problem.unknowns[k].tolerance
+        ratio = abs(float(estimate.x[k])) / tolerance
+        yield _tolerance_note(estimate, k, f"{ratio:.1f} times its tolerance of {{}}")
+
+
+def _uncertain_tolerance_notes(estimate: Estimate) -> Iterator[Note]:
+    """Yield notes on parameters that exceed their limits, but not certainly."""
+    problem, sd = estimate.problem, _margin(estimate, 1.0)
+    certain = problem.is_implausible(estimate.x, _margin(estimate, CERTAIN_SIGMAS))
+    for k in np.flatnonzero(problem.is_implausible(estimate.x) & ~certain).tolist():
+        unit = estimate.unit(problem.names[k])
+        sigma = f"{compact(sd[k] / unit.si, 2)}{unit.behind}"
+        within = f"but so uncertain (± {sigma}) that it may be within its tolerance of {{}}"
+        yield _tolerance_note(estimate, k, within)
+
+
+def _margin(estimate: Estimate, sigmas: float) -> Array:
+    """Return so many standard deviations of each parameter ``(P,)``, SI."""
+    return np.asarray(sigmas * np.sqrt(np.diag(estimate.covariance)))
+
+
+def _tolerance_note(estimate: Estimate, k: int, comparison: str) -> Note:
+    """Return a note on the k-th parameter; ``comparison`` has a blank for its tolerance."""
+    catalogue, unknown = estimate.problem.machine.catalogue, estimate.problem.unknowns[k]
+    unit, effect = estimate.unit(unknown.name), catalogue.effect_of(unknown.name)
+    tolerance = f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}"
+    return Note(
+        f"{difference_words(catalogue, unknown.name)} is "
+        f"{signed_size(effect, float(estimate.x[k]))}, {comparison.format(tolerance)}: measure it; "
+        f"if it is so and will not be repaired, enter a larger tolerance in the machine file",
+        "tolerance",
+    )
 
 
 def step_notes(problem: Problem) -> Iterator[Note]:

@@ -102,18 +102,20 @@ def finding_text(result: Result) -> str:
             f"{first}Perhaps {cause.words}: its probability is {compact(cause.probability, 2)}, "
             f"too low for a correction."
         )
-    if result.improved and result.before.scores.lack_of_fit_p < _BASE_FITS_P:
+    if result.word == "diffuse":
         return (
             f"{first}No single cause stands out{' beyond that' if first else ''}: every part is "
             f"off by about {compact(result.left.background, 1)} of its tolerance."
         )
     if result.nominal.rms < _NO_RESIDUAL:
         return NOTHING_SHOWN
-    again = "" if result.firmware is None else result.firmware.again
-    is_first = not (result.changed or first or result.contradicted or again)
-    nothing = "Nothing is" if is_first else "Nothing else is"
+    again = result.firmware is not None and result.firmware.again
+    more = " else" if result.changed or first or result.contradicted or again else ""
     base = base_effects(result)
-    return f"{first}{nothing} wrong that these readings could show beyond the {base}."
+    text = f"{first}Nothing{more} is wrong that these readings could show beyond the {base}"
+    if (chance := result.before.scores.lack_of_fit_p) < _BASE_FITS_P:  # but not significant
+        text += f": noise alone leaves as large a residual with probability {probability(chance)}"
+    return f"{text}."
 
 
 def _zeros_sentence(result: Result) -> str:

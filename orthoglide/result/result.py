@@ -339,10 +339,10 @@ class Result(Judged, Framed):
 
     @property
     def start(self) -> Scores:
-        """Scores that reports compare the last fit with: of the base model if `improved`, else of
-        the machine before calibration.
+        """Scores that reports compare the last fit with: of the base model if a search `improved`
+        it, else of the machine before calibration.
         """
-        return self.before.scores if self.improved else self.nominal
+        return self.before.scores if self.improved and self.searches else self.nominal
 
     @property
     def loses(self) -> bool:
