@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import orthoglide as og
+from benchmarks.public import tcp_points
 from orthoglide.closing import build_result, compute_outcome
 from orthoglide.effects import CATALOGUE
 from orthoglide.effects.free_form import FreeForm, Session, free_forms
@@ -20,7 +21,7 @@ from orthoglide.explanation.causes import CredibleSets, curve_of, fitted_beyond_
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.notes import notes
-from orthoglide.numerals import compact
+from orthoglide.numerals import compact, plain
 from orthoglide.report.sentences import headline
 from orthoglide.result import Request
 from tests import rig_campaigns as rc
@@ -97,6 +98,49 @@ def test_a_fitted_part_far_beyond_its_tolerance_is_a_finding(machine: og.Machine
     assert not fitted_beyond_tolerance(uncertain)
     (note,) = (note for note in notes(uncertain) if note.startswith("leg length"))
     assert "but so uncertain (± 0.63 mm) that it may be within its tolerance of 0.1 mm" in note
+
+
+@pytest.mark.parametrize("as_points", [True, False])
+def test_zeros_that_points_confirm_are_advised_although_they_contradict_the_cause(
+    as_points: bool, machine: og.Machine
+) -> None:
+    """A rail was bent when the dials read it, and is straight where the tool is measured."""
+    rng = np.random.default_rng(2)
+    errors = {"joint_offset.x": -1e-4, "joint_offset.y": -9e-4, "joint_offset.z": -2.5e-3}
+    bent = Rig().with_errors(errors | {"rail_bow.x.z": 4e-4})
+    read = campaign_of(rc.simulate(bent, "standard", rng, background=0.015), machine)
+    straight = Rig().with_errors(errors)
+    points = tcp_points(rc.tcp_points(straight, 30, rng))
+    held = campaign_of(rc.simulate(straight, "standard", rng), machine)
+    result = og.close_loop(read, machine, **({"tcp": points} if as_points else {"holdout": held}))
+    assert [cause.name for cause in result.effects] == ["rail_bow.x.z"]
+    assert "so do not act on it before it is confirmed. They confirm the new zeros" in (
+        headline(result)
+    )
+    kinds = [action.kind for action in result.actions]
+    assert "zeros" in kinds
+    assert "confirm" in kinds
+    assert not {"mend", "compensate"} & {*kinds}
+    assert [one.kind for one in result.withheld] == ["compensate"]
+    # The numbers are of the machine without the cause, and an export gives the same.
+    assert not result.machine.values.get("rail_bow.x.z")
+    advised = next(action.words for action in result.actions if action.kind == "zeros")
+    for drive in og.controller_numbers(result.machine, zeros_only=True).drives:
+        assert f"{drive.leg} {plain(drive.new_zero * 1e3, 3)}" in advised
+
+
+@pytest.mark.thorough
+def test_zeros_of_which_one_is_wrong_are_not_confirmed(machine: og.Machine) -> None:
+    """The bent rail looks like a zero of z that is off by a millimetre the other way."""
+    rng = np.random.default_rng(2)
+    errors = {"joint_offset.x": -5e-4, "joint_offset.y": -9e-4, "joint_offset.z": 7e-4}
+    bent = Rig().with_errors(errors | {"rail_bow.x.z": 4e-4})
+    read = campaign_of(rc.simulate(bent, "standard", rng, background=0.015), machine)
+    points = tcp_points(rc.tcp_points(Rig().with_errors(errors), 30, rng))
+    result = og.close_loop(read, machine, tcp=points)
+    assert "contradict this result" in headline(result)
+    assert "zeros" in [one.kind for one in result.withheld]
+    assert "zeros" not in [action.kind for action in result.actions]
 
 
 def test_a_cause_that_is_one_of_several_is_told() -> None:

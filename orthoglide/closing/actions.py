@@ -122,7 +122,7 @@ def actions(
     prerequisites = [action for action in steps if action.kind == "measure"]
     steps = [action for action in steps if action.kind != "measure"]
     zeros = any(action.kind == "zeros" for action in steps)
-    steps += _finding_actions(outcome, "mend", zeros=zeros)
+    steps += _finding_actions(outcome, "confirm" if outcome.refuted else "mend", zeros=zeros)
     compensation = _compensation(outcome)
     steps += [compensation] if isinstance(compensation, Action) else []
     steps = ranked(steps, lambda a: a.gain if math.isfinite(a.gain) else 0.0, _GAIN_ROUNDING)
@@ -311,6 +311,8 @@ def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
     """
     if not outcome.request.searches or outcome.firmware is not None:
         return None
+    if outcome.zeros_confirmed:
+        return Withheld("compensate", lower_first(outcome.refuted[:-1]))
     gain, sigma = outcome.compensation_gain
     if gain <= _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape:
         return None

@@ -24,6 +24,11 @@ from orthoglide.result.fits import Identified
 from orthoglide.result.result import Judged
 from orthoglide.text import sentence
 
+_ZEROS_CONFIRMED = (
+    "They confirm the new zeros, with which they are predicted better than without them; "
+    "calibrated.toml contains the base model alone."
+)
+
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class RunOutcome(Judged, CredibleSets):
@@ -40,6 +45,9 @@ class RunOutcome(Judged, CredibleSets):
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
+    # whether readings or points held out contradict what was found, and confirm the zeros of the
+    # base model, which then is the calibrated machine
+    zeros_confirmed: bool = False
     not_contained: str = ""  # changes since earlier readings that it lacks, a sentence; else empty
 
     def with_warnings(self, *notes: Note) -> Self:
@@ -52,22 +60,32 @@ class RunOutcome(Judged, CredibleSets):
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine with its covariance: the posterior's mean, or the base model if
-        significant residuals remain.
+        significant residuals remain, or if what was found is contradicted and the zeros are not.
 
-        Its provenance contains the verdict, the causes and the cautions.
+        Its provenance contains the verdict, and the causes and the cautions that concern it.
         """
         provenance: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
-        if self.effects:
-            provenance["effects"] = [cause.name for cause in self.effects]
-        if rivals := {rival.name for cause in self.effects for rival in cause.rivals}:
-            provenance["averaged_over"] = sorted(rivals)
-        if self.located:
-            provenance["located"] = [found.name for found in self.located]
-        if self.cautions:
-            provenance["cautions"] = list(self.cautions)
+        cautions = list(self.cautions)
+        if self.zeros_confirmed:  # it has nothing of what is contradicted
+            cautions = [c for c in cautions if not c.startswith(self.refuted)]
+        else:
+            provenance |= self._findings_by_name
+        if cautions:
+            provenance["cautions"] = cautions
         if (printer := self.request.machine.spec.printer) is not None:
             provenance |= printer.provenance(self.corrections)
         return self._calibrated_machine.with_provenance(provenance)
+
+    @property
+    def _findings_by_name(self) -> dict[str, list[str]]:
+        """Names of causes, of their rivals and of located errors, by key of the provenance."""
+        rivals = {rival.name for cause in self.effects for rival in cause.rivals}
+        names = {
+            "effects": [cause.name for cause in self.effects],
+            "averaged_over": sorted(rivals),
+            "located": [found.name for found in self.located],
+        }
+        return {key: value for key, value in names.items() if value}
 
     @cached_property
     def corrections(self) -> Corrections | None:
@@ -90,7 +108,7 @@ class RunOutcome(Judged, CredibleSets):
 
     @property
     def _tool_readings(self) -> list[Readings]:
-        fit = self.after if self.stands else self.before  # whose machine is the calibrated one
+        fit = self.before if self._keeps_base else self.after  # whose machine is the calibrated one
         return [f.readings for f in fit.problem.tool_factors]
 
     @property
@@ -99,7 +117,12 @@ class RunOutcome(Judged, CredibleSets):
             return self.after.machine
         machine = self.posterior.machine
         base = self.before.machine.values
-        return machine if self.stands else machine.with_posterior(base, machine.posterior)
+        return machine.with_posterior(base, machine.posterior) if self._keeps_base else machine
+
+    @property
+    def _keeps_base(self) -> bool:
+        """Whether the calibrated machine is the base model, without what was found."""
+        return self.zeros_confirmed or not self.stands
 
     @cached_property
     def identified(self) -> dict[str, Identified]:
@@ -193,6 +216,13 @@ class RunOutcome(Judged, CredibleSets):
             return self._disagreements[0]
         if self.not_contained:
             return self.not_contained
+        return " ".join(
+            [self.refuted, _ZEROS_CONFIRMED] if self.zeros_confirmed else [self.refuted]
+        )
+
+    @property
+    def refuted(self) -> str:
+        """How readings or points held out contradict what was found, a sentence; else empty."""
         hold_out, tcp = self.hold_out, None if self.tcp is None else self.tcp["translation"]
         threshold = self.before.problem.noise.typical / 2  # a smaller difference is not measurable
         if tcp is not None and tcp.after_mean > tcp.before_mean + threshold:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from orthoglide.accuracy import tcp_map
+from orthoglide.accuracy import best_zeros, tcp_map
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import linearise, nuisances
@@ -24,6 +25,7 @@ from orthoglide.observations.tables import shared_fraction
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, Request, TcpErrors
 
+_EQUAL_RATIO = 1.05  # ratio of two errors held out from which one is larger than the other
 _MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
 
 
@@ -55,7 +57,42 @@ def validate(outcome: RunOutcome) -> RunOutcome:
             f"the result; hold out other readings"
         )
     scored = replace(outcome, hold_out=scores, tcp=errors)
+    scored = replace(scored, zeros_confirmed=_confirms_zeros(scored))
     return scored.with_warnings(*(Note(text, "holdout") for text in notes if text))
+
+
+def _confirms_zeros(outcome: RunOutcome) -> bool:
+    """Return whether readings and points held out confirm the zeros of the base model where they
+    contradict what was found.
+
+    They do if the base model and the new zeros alone predict them better than the nominal machine
+    does, and if no drive with its old zero would improve on that.
+    """
+    request, problem = outcome.request, outcome.before.problem
+    if not outcome.stands or not outcome.refuted or outcome.contradicted != outcome.refuted:
+        return False
+    if request.machine.spec.printer is not None or outcome.sizes is not None:
+        return False  # which take more than zeros
+    base = problem.values(problem.last_factor_index, outcome.before.x)
+    zeros = best_zeros(replace(outcome, zeros_confirmed=True).machine)
+    of_nominal, of_zeros = _errors_held_out({}, request), _errors_held_out(zeros, request)
+    better = np.stack([_errors_held_out(base, request), of_zeros]) < of_nominal / _EQUAL_RATIO
+    others = [{n: v for n, v in zeros.items() if n != kept} for kept in zeros]
+    of_others = np.stack([_errors_held_out(values, request) for values in others])
+    return bool(better.all() and (of_zeros < of_others * _EQUAL_RATIO).all())
+
+
+def _errors_held_out(values: Mapping[str, float], request: Request) -> Array:
+    """Return the error of a machine at the readings held out, and the one at the points ``(k,)``;
+    ``values`` are its parameters, SI.
+    """
+    machine, errors = request.machine, list[float]()
+    if held := request.holdout:
+        rms = held_out_rms(values, machine, held, request.own)
+        errors.append(math.prod(rms.shown.values()))
+    if request.tcp is not None:
+        errors.append(tcp_errors(machine, request.tcp, values, values)["translation"].before_mean)
+    return np.array(errors)
 
 
 def held_out_rms(

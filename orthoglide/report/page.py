@@ -89,7 +89,7 @@ def controller(result: Result) -> Data:
     curves = [found.members[0] for found in result.located]
     return {
         "drives": numbers.drives if zeros else (),
-        "withheld": " ".join(result.cautions) or (sentence(reason) if reason else ""),
+        "withheld": (" ".join(result.cautions) or sentence(reason)) if reason else "",
         "counts": numbers.names.slide_end_words[1][1],
         "standard": spec.controller.sign == (1, 1, 1) and not any(spec.controller.zero),
         "beyond": listed(c.description for c in curves if not c.of_machine),
