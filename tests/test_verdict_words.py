@@ -143,6 +143,27 @@ def test_zeros_of_which_one_is_wrong_are_not_confirmed(machine: og.Machine) -> N
     assert "zeros" not in [action.kind for action in result.actions]
 
 
+def test_a_place_that_is_more_probable_than_not_is_told(machine: og.Machine) -> None:
+    """Only causes with a name were, and of such a place the verdict said nothing."""
+    rng = np.random.default_rng([9300, 2])
+    errors = {f"joint_offset.{leg}": float(rng.normal(0, 5e-4)) for leg in LEGS}
+    rig = Rig(errors=errors, extra=(rc.drive_step(2, float(rng.uniform(0.4, 1.2)) * 1.2e-4),))
+    outcome = studied(
+        campaign_of(rc.simulate(rig, "sweep", rng, background=0.015), machine), machine
+    )
+    assert not outcome.found
+    (place,) = outcome.possible
+    assert place.name.startswith("drive.z/travel")
+    assert 0.5 < place.probability < 0.9
+    result = build_result(outcome, og.Verdict)
+    assert "Perhaps drive z " in headline(result)
+    assert "its probability is 0.6" in headline(result)
+    (action,) = (action for action in result.actions if action.kind == "confirm")
+    assert "drive z" in action.options[0].words
+    (possible,) = result.possible
+    assert possible.after.rms < result.before.scores.rms
+
+
 def test_a_cause_that_is_one_of_several_is_told() -> None:
     """None of them is more probable than not, and together they are."""
     rig = Rig().with_errors({"bar_mismatch.y": 2e-4})

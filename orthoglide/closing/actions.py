@@ -22,7 +22,7 @@ from orthoglide.numerals import plain, signed, with_sigma
 from orthoglide.observations import Readings
 from orthoglide.ordering import ranked
 from orthoglide.planning import Suggestion
-from orthoglide.result import Action, Cause, Located, Suspect
+from orthoglide.result import Action, Cause, Curve, Explanation, Located, Suspect
 from orthoglide.result.display import Withheld
 from orthoglide.text import MACHINE_OPTION, listed, lower_first
 
@@ -243,7 +243,7 @@ def _finding_actions(
             words = _REPAIR_IF_DATA_HOLD if finding.data else _REPAIR
             yield Action(kind, words, *gain, options, ambiguous, ambiguous and plate)
     if outcome.possible and outcome.word != "unexplained":
-        options = tuple(Suspect(c.words, c.look_at, c.confirm) for c in outcome.possible)
+        options = tuple(map(_suspect, outcome.possible))
         yield Action("confirm", _TEST_LIKELY, options=options)
     for change in outcome.moved:
         outdated = _FILES_OUTDATED.format(change.files[1])
@@ -281,10 +281,16 @@ def suspects(finding: Cause | Located | Change) -> tuple[Suspect, ...]:
     if isinstance(finding, Change):
         return tuple(_suspect_of_change(finding, k) for k in range(len(finding.members)))
     if isinstance(finding, Cause):
-        causes = finding.explanations
-        return tuple(Suspect(e.words, e.look_at, e.confirm) for e in causes)
-    places = ((c.place, confirming_test(c.place, c.size)) for c in finding.members)
-    return tuple(Suspect(place.words, place.look_at, test) for place, test in places)
+        return tuple(map(_suspect, finding.explanations))
+    return tuple(map(_suspect, finding.members))
+
+
+def _suspect(one: Explanation | Curve) -> Suspect:
+    """Return the part to look at for a cause or a free-form error."""
+    if isinstance(one, Curve):
+        place = one.place
+        return Suspect(place.words, place.look_at, confirming_test(place, one.size))
+    return Suspect(one.words, one.look_at, one.confirm)
 
 
 def _suspect_of_change(change: Change, k: int) -> Suspect:

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from typing import Any, Literal, TypeVar
 
+import numpy as np
+
 from orthoglide.accuracy import tcp_map, without_translation, workspace_grid
 from orthoglide.closing.actions import actions, next_measurements, not_advised
 from orthoglide.closing.drawing import picture
@@ -15,9 +17,10 @@ from orthoglide.effects.wording import cause_short
 from orthoglide.errors import NumericsError
 from orthoglide.explanation import FullPosterior
 from orthoglide.explanation.free_form import only_surface_readings
-from orthoglide.fit import Estimate, solve
+from orthoglide.fit import Estimate, Problem, solve
 from orthoglide.fit.assembling import excited_effects, unmet_conditions, with_free
 from orthoglide.fit.estimate import fitted_readings
+from orthoglide.fit.factors import NuisanceBlock
 from orthoglide.fit.noise_notes import noise_scales
 from orthoglide.instruments import OBSERVATIONS
 from orthoglide.machine import Machine
@@ -25,7 +28,7 @@ from orthoglide.observations import campaign_rows, source
 from orthoglide.parameters import Parameter
 from orthoglide.planning import next_sheet
 from orthoglide.progress import Progress, Step, no_progress
-from orthoglide.result import Result, Workspace, encoded, fits
+from orthoglide.result import Curve, Result, Workspace, encoded, fits
 from orthoglide.result.display import Proposal
 from orthoglide.result.findings import Possible
 from orthoglide.result.fits import Fit, Noise, SetupNoise
@@ -133,12 +136,27 @@ def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
     """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
     problem = outcome.before.problem
     for cause in outcome.possible:
-        names = tuple(map(str, cause.parameters))
+        is_curve = isinstance(cause, Curve)
+        names = () if isinstance(cause, Curve) else tuple(map(str, cause.parameters))
+        added = _with_curve(outcome, cause.name) if is_curve else with_free(problem, names)
         try:
-            fit = solve(with_free(problem, names), method="nested", widen=False)
+            fit = solve(added, method="nested", widen=False)
         except NumericsError:
             continue
         yield Possible(cause.name, names, float(cause.probability), cause.words, fit.scores)
+
+
+def _with_curve(outcome: RunOutcome, name: str) -> Problem:
+    """Return the problem of the base model with a free-form error as a further nuisance."""
+    problem, posterior = outcome.before.problem, outcome.posterior
+    if posterior is None:
+        return problem
+    mixture = posterior.mixture
+    k = [group.name for group in mixture.linear.groups].index(name)
+    ((_, tau),) = mixture.child((), k)
+    index = mixture.linear.groups[k].coefficients
+    curve = NuisanceBlock(posterior.linearised.rows.columns(index), np.full(len(index), tau))
+    return replace(problem, free_form_nuisances=curve)
 
 
 def _noise_by_setup(fit: Estimate) -> Iterator[SetupNoise]:

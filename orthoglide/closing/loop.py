@@ -17,7 +17,7 @@ from orthoglide.explanation import (
     posterior_lack_of_fit,
 )
 from orthoglide.explanation.assumed_noise import with_refuted_noise_enlarged
-from orthoglide.explanation.causes import fitted_beyond_tolerance, smallest_count
+from orthoglide.explanation.causes import fitted_beyond_tolerance, probable_places, smallest_count
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import with_changes_separate
 from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
@@ -37,6 +37,7 @@ from orthoglide.fit.crosscheck import verify
 from orthoglide.fit.plausible import check_plausible
 from orthoglide.machine import Machine
 from orthoglide.notes import Note
+from orthoglide.ordering import ranked
 from orthoglide.progress import Progress, Step, no_progress
 from orthoglide.result import LackOfFit, Request, Word
 from orthoglide.threads import on_one_thread
@@ -158,7 +159,8 @@ def _reported_sets(
     # A single cause on an otherwise sound machine (`alone`) cannot explain a residual that the
     # verdict calls unexplained, so it is reported only after the verdicts adequate and diffuse.
     alone = sets.alone if word in ("adequate", "diffuse") else ()
-    possible = sets.possible
+    places = [] if sets.effects or sets.located else probable_places(posterior, EVEN_PROBABILITY)
+    possible = tuple(ranked((*places, *sets.possible), lambda one: one.probability))
     if word != "unexplained":  # the fewest that are together more probable than not
         odds = np.array([one.probability for one in possible])
         possible = possible[: smallest_count(odds, EVEN_PROBABILITY)]

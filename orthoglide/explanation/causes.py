@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,7 +18,7 @@ from orthoglide.fit import Estimate
 from orthoglide.fit.problem import CERTAIN_SIGMAS, MAX_TOLERANCES
 from orthoglide.geometry import Array
 from orthoglide.numerals import compact
-from orthoglide.ordering import RELATIVE_MARGIN, descending
+from orthoglide.ordering import RELATIVE_MARGIN, descending, ranked
 from orthoglide.result import CandidateScore, Cause, Curve, Explanation, Located
 
 CREDIBLE = 0.95
@@ -34,8 +35,9 @@ class CredibleSets:
     # if none is active, the causes of which one alone may explain the readings, with all other
     # errors within `SOUND_BACKGROUND`: a credible set of 95 %
     alone: tuple[Explanation, ...] = ()
-    # if none is active: the most probable causes, each estimated as the only one
-    possible: tuple[Explanation, ...] = ()
+    # if none is active: the most probable causes, each estimated as the only one, and free-form
+    # errors that are more probable than not
+    possible: tuple[Explanation | Curve, ...] = ()
 
     @property
     def names(self) -> frozenset[str]:
@@ -171,6 +173,29 @@ def averaged_over_periods(curve: Curve, posterior: FullPosterior, member: int) -
     covariance = np.tensordot(share, np.stack(covariances), 1)
     covariance += (differences.T * share) @ differences
     return replace(curve, **_values(curve.place, value, covariance))
+
+
+def probable_places(posterior: FullPosterior, least: float) -> list[Curve]:
+    """Return the free-form errors that are more probable than ``least``, each estimated as the only
+    one, most probable first; variants at one place count together.
+    """
+    mixture, by_place, by_group = posterior.mixture, Counter[str](), Counter[int]()
+    groups, stroke = mixture.linear.groups, posterior.before.problem.machine.geometry.stroke
+    for state, weight in mixture.weights.items():
+        active = [k for k, _ in state if groups[k].free_form]
+        by_group.update(dict.fromkeys(active, float(weight.sum())))
+        keys = {groups[k].source.location_key for k in active}
+        by_place.update(dict.fromkeys(keys, float(weight.sum())))
+    curves, keys = list[Curve](), set[str]()
+    for k, _ in by_group.most_common():
+        error, index = groups[k].source, groups[k].coefficients
+        key, probability = error.location_key, min(by_place[error.location_key], 1.0)
+        if key not in keys and probability > least:
+            moments = mixture.likeliest_moments(mixture.child((), k), index)
+            mean, covariance = moments[0][index], moments[1]
+            curves.append(curve_of(error, probability, stroke, mean, covariance))
+        keys.add(key)
+    return ranked(curves, lambda curve: curve.probability)
 
 
 def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
