@@ -14,10 +14,10 @@ from orthoglide.effects.bumps_and_jumps import travel_bumps
 from orthoglide.effects.free_form import FreeForm
 from orthoglide.explanation.corrections import with_faults_corrected
 from orthoglide.explanation.fault_columns import command_derivatives
-from orthoglide.explanation.faults import Fault
+from orthoglide.explanation.faults import Fault, fault_message
 from orthoglide.prediction import MeasurementModel
 from tests import rig_campaigns as rc
-from tests.factors import campaign_of
+from tests.factors import campaign_of, problem_of
 from tests.rig import Rig
 from tests.studied import studied
 
@@ -169,3 +169,18 @@ def test_a_large_wrong_command_is_compared_where_it_is_corrected() -> None:
     record = judge(Case("worn", "command, less worn", 10.0, 0), 90001)
     assert record["right_size"]
     assert record["right_rows"]
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_a_fault_of_what_was_visited_once_is_said_to_be_that(repeats: int) -> None:
+    """A bump of a rail had been taken for a wrong command, or for a noisy dial, without a word."""
+    machine, rng = og.Machine.nominal(), np.random.default_rng(0)
+    rows = rc.simulate(Rig(), rc.protocol_rows("standard", repeats=repeats), rng)
+    campaign = campaign_of(rows, machine)
+    problem = problem_of(machine, [campaign], ["joint_offset"])
+    of_leg = campaign.leg == 0
+    at_max = np.flatnonzero(of_leg & (np.array(campaign.posture) == "max"))
+    of_dial = np.flatnonzero(of_leg & (campaign.axis == 1))
+    for fault in (Fault("command", at_max, 1e-3, drive=0), Fault("noisy", of_dial, 4.0)):
+        said = "; nothing here was visited twice" in fault_message(problem, fault)
+        assert said == (repeats == 1)

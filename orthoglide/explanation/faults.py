@@ -39,6 +39,11 @@ other reading may show what they show."""
 
 _LOCAL_RANGE = 2e-3  # metres: range and size of an error of a drive at one command alone
 _MOST_LINES_LISTED = 12  # lines that a message lists one by one
+_POSTURE_KINDS = ("command", "noisy")  # what a defect of the machine at a posture reads like
+_VISITED_ONCE = (
+    "; nothing here was visited twice, and a defect of the machine at one place, such as a bump of "
+    "a rail, would read alike"
+)
 _LOST_MOTION = f"; or it is lost motion, as {APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}"
 
 
@@ -132,7 +137,14 @@ def fault_message(problem: Problem, fault: Fault) -> str:
     label = _row_label(problem, places)
     others = [a for a in fault.alternatives if a.kind != fault.kind]
     clauses = [_clause(problem, each) for each in (fault, *others)]
-    return f"{source(readings)}, {lines}{where}{label}: {'; or '.join(clauses)}"
+    once = _VISITED_ONCE * (fault.kind in _POSTURE_KINDS and _visited_once(problem, fault))
+    return f"{source(readings)}, {lines}{where}{label}: {'; or '.join(clauses)}{once}"
+
+
+def _visited_once(problem: Problem, fault: Fault) -> bool:
+    """Return whether no visit of a fault was repeated, so that none confirms another."""
+    stations = np.unique(problem.station[fault.rows])
+    return bool(np.isin(problem.station, stations).sum() == len(stations))
 
 
 def _row_label(problem: Problem, places: tuple[tuple[int, int], ...]) -> str:
