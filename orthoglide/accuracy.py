@@ -146,8 +146,8 @@ def lack_of_gain(gain: float, sigma: float) -> str:
     """Return why a correction is not advised, a clause; empty if its expected gain is certain.
 
     Compensated commands, sizes in a controller, and new numbers of a firmware must all meet this
-    rule. The last two must also not be expected to raise an error by more than its sigma:
-    `best_sizes` that in height or along the plate, a firmware that along the plate.
+    rule. The last two must also not be expected to raise the error in height or along the plate by
+    more than its sigma (`control.delta_numbers.Gain.lack`).
 
     Args:
         gain: expected decrease of the tool's error, metres.

@@ -10,12 +10,9 @@ import pytest
 import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.closing import RunOutcome
+from orthoglide.control.delta_numbers import Gain, PlateErrors
 from orthoglide.firmware.klipper import Imported, Printer, import_printer
-from orthoglide.firmware.klipper.new_numbers import (
-    lack_of_expected_gain,
-    rejection_reason,
-    residual_changes,
-)
+from orthoglide.firmware.klipper.new_numbers import rejection_reason, residual_changes
 from orthoglide.firmware.klipper.numbers import (
     Numbers,
     ResidualChange,
@@ -35,6 +32,7 @@ from tests.test_cli import run
 
 FIELD = Path(__file__).parent / "data" / "field"
 NUMBERS = Numbers(0.163, (210.0, 330.0, 90.0), (0.345,) * 3, (0.3,) * 3)
+Share = tuple[float, float]
 OFF = {"joint_offset.a": 4e-4, "joint_offset.b": -3e-4}
 
 
@@ -140,28 +138,45 @@ def test_numbers_that_are_not_expected_to_be_better_are_not_offered() -> None:
     assert tried.arm == made.old.arm
 
 
-def drawn(height: float, along: float, spread: float = 0.1) -> np.ndarray:
-    """Errors of height and along the plate of 400 machines, metres; mean and relative sd given."""
-    scatter = 1 + spread * np.random.default_rng(0).standard_normal(400)
-    return np.outer([height, along], scatter)
-
-
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("weighted", "height", "along", "said"),
     [
-        (drawn(4e-5, 2e-4), drawn(1e-5, 1e-4), ""),
-        (drawn(4e-5, 2e-4), drawn(1e-5, 2.1e-4, 0.3), ""),  # within its standard deviation
-        (drawn(4e-5, 2e-4), drawn(1e-5, 4e-4), "0.199 ± 0.020 mm more along the plate"),
-        (drawn(4e-5, 2e-4), drawn(3.9e-5, 2e-4, 0.2), "the expected gain, "),
-        (drawn(2e-5, 1e-3), drawn(2e-5, 2e-4), ""),  # along the plate alone
+        ((3e-5, 1e-6), (3e-5, 1e-6), (1e-4, 2e-5), ""),
+        ((3e-5, 1e-6), (3e-5, 1e-6), (-1e-5, 6e-5), ""),  # within its standard deviation
+        ((3e-5, 1e-6), (3e-5, 1e-6), (-2e-4, 2e-5), "0.200 ± 0.020 mm more along the plate"),
+        ((3e-5, 1e-6), (-4e-5, 3e-6), (8e-4, 1e-4), "0.0400 ± 0.0030 mm more in height"),
+        ((1e-6, 8e-6), (1e-6, 8e-6), (0.0, 4e-5), "the expected gain, "),
+        ((1e-5, 1e-6), (0.0, 2e-6), (8e-4, 1e-4), ""),  # along the plate alone
     ],
 )
 def test_numbers_must_improve_the_tool_of_the_posterior(
-    before: np.ndarray, after: np.ndarray, said: str
+    weighted: Share, height: Share, along: Share, said: str
 ) -> None:
-    found = lack_of_expected_gain(before, after)
+    found = Gain(weighted, height, along, 1e-4).lack
     assert said in found
     assert bool(found) == bool(said)
+
+
+def test_a_gain_along_the_plate_counts_what_touches_do_not_show() -> None:
+    """Rods of another length and a bowl of the plate: of a firmware's numbers as of sizes, and rods
+    that were measured leave the bowl alone.
+    """
+    found = import_printer(DATA / "t1-stock.cfg")
+    numbers, machine = found.machine.printer.numbers, Machine(found.machine)
+    angle = np.arange(12) * np.pi / 6
+    places = 0.1 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    places = np.concatenate([places, places / 2])
+
+    def computes(change: np.ndarray, commands: np.ndarray) -> np.ndarray:
+        return numbers.changed(change).points(commands + numbers.zero)
+
+    def sigma(arms_seen: bool) -> float:
+        errors = PlateErrors(machine, computes, places, 0 * places[:, 0], 0.03, True, arms_seen)
+        wider = places * [1.002, 1.002, 1.0]
+        return errors.gain(wider - places, 0 * places).along[1]
+
+    assert sigma(arms_seen=True) > 1e-5
+    assert sigma(arms_seen=False) > 1.5 * sigma(arms_seen=True)
 
 
 def test_a_printed_part_is_judged_without_its_size() -> None:

@@ -6,7 +6,7 @@ from orthoglide.control.compensation import (
     compensate as compensate,
     read_path as read_path,
 )
-from orthoglide.control.delta_sizes import DeltaSizes as DeltaSizes, best_sizes as best_sizes
+from orthoglide.control.delta_numbers import DeltaSizes as DeltaSizes, best_sizes as best_sizes
 from orthoglide.control.numbers import (
     RULE as RULE,
     ControllerNumbers as ControllerNumbers,

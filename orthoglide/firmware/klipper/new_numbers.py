@@ -8,12 +8,11 @@ z is 0; the residual of a distance is computed minus measured distance.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from orthoglide.accuracy import drawn_errors, lack_of_gain
 from orthoglide.add_ons import Corrections
+from orthoglide.control.delta_numbers import ENDSTOPS, RADIUS, TOWERS, PlateErrors, reach_rim
 from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY, PROBE_REPEATABILITY
 from orthoglide.firmware.klipper.numbers import (
     CALIBRATION,
@@ -26,7 +25,7 @@ from orthoglide.firmware.klipper.numbers import (
 from orthoglide.geometry import Array, fit_plane, plane_columns
 from orthoglide.instruments import PRINTED
 from orthoglide.machine import Machine
-from orthoglide.numerals import signed, with_sigma
+from orthoglide.numerals import signed
 from orthoglide.observations import Readings
 
 _MIN_GAIN = 0.05  # share of a residual: numbers that gain less are not worth entering
@@ -37,19 +36,14 @@ explains one."""
 _NOISE = {"heights": PROBE_REPEATABILITY, "distances": CALIPER_REPEATABILITY}
 """Standard deviation of a reading, metres."""
 
-_MIN_REACH = 1 / 3
-"""Share of the radius of the towers that touches must reach: numbers that fit the middle of a plate
-alone may be far off at its rim."""
-
 _WIDE_REACH = 0.8  # share of the widest list's reach at which a list determines z = 0 too
 _RINGS, _RAYS = (0.0, 0.5, 1.0), 12  # of points on the plate
-_LATERAL_WEIGHT = 0.03
+_ALONG_WEIGHT = 0.03
 """Weight of an error along the plate against one of height: layers of a print are a tenth of a
 millimetre high, and touches hardly determine the place of the tool along the plate."""
 
-_FITTED_COUNT = 6  # numbers, in the order of `Numbers.changed`
+_FITTED_COUNT = 6  # endstops, radius, and places of two towers
 _RECALIBRATE_FIRST = "the firmware's own calibration has to be repeated first, as the report says"
-_FIT_TOLERANCE = 1e-13  # relative changes at which a fit ends, close to rounding
 
 PoseFunction = Callable[[Array], tuple[Array, Array]]
 """Places of a nozzle, and upward parts of its platform's axes, ``(n, 3)`` each, at travel
@@ -75,58 +69,33 @@ def new_numbers(
 
     plates = [plate_heights(nozzle, old, t) for t in touched]
     reach = [float(np.hypot(*places.T).max()) for places, _ in plates]
-    widest = max(reach, default=0.0)
-    if widest < _MIN_REACH * old.delta_radius:
+    if not reach_rim(np.concatenate([np.zeros((0, 2)), *(p for p, _ in plates)]), old.delta_radius):
         return None
     ring, angle = np.meshgrid(_RINGS, np.arange(_RAYS) * 2 * np.pi / _RAYS)
-    x, y = widest * ring.ravel() * [np.cos(angle.ravel()), np.sin(angle.ravel())]
+    x, y = max(reach) * ring.ravel() * [np.cos(angle.ravel()), np.sin(angle.ravel())]
     points = np.stack([x, y, 0 * x], axis=1)
     plane = plane_columns(points) @ _zero_plane(touched, plates, reach, meshes_relative)
-    wanted = points + np.outer(plane, [0.0, 0.0, 1.0])
-    commands = machine.inverse(wanted)
+    has_height = not meshes_relative or any(t.name == CALIBRATION for t in touched)
+    rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
+    arms_seen = rods_measured or any(c.paired.any() for c in campaigns)
 
-    def residuals(numbers: Numbers) -> Array:
-        error = _firmware_points(numbers, old, commands) - points
-        along = _LATERAL_WEIGHT * _without_rigid_motion(points, error[:, :2])
-        return np.concatenate([error[:, 2], along.ravel()])
+    def computes(change: Array, commands: Array) -> Array:
+        return _firmware_points(old.changed(change), old, commands)
 
-    relative = meshes_relative and all(t.name != CALIBRATION for t in touched)
-
-    def drawn(numbers: Numbers) -> Array:
-        return _drawn_rms(machine, _commands(numbers, old, points), wanted, relative)
-
-    new, with_arms = (
-        _fit_numbers(replace(old, arm=arms), residuals)
-        for arms in (old.arm, _calibrated_arms(machine))
-    )
-    before, after, after_with_arms = map(drawn, (old, new, with_arms))
-    keep = lack_of_expected_gain(before, after)
-    if not lack_of_expected_gain(before if keep else after, after_with_arms):
-        new, after, keep = with_arms, after_with_arms, ""
+    errors = PlateErrors(machine, computes, points, plane, _ALONG_WEIGHT, has_height, arms_seen)
+    a, b, c = np.array(_calibrated_arms(machine)) - old.arm
+    calibrated = np.array([0, 0, 0, 0, 0, 0, c, a - c, b - c])
+    now, free = errors.error(0 * calibrated), [*ENDSTOPS, *RADIUS, *TOWERS]
+    chosen, with_arms = errors.fit(free), errors.fit(free, calibrated)
+    keep = errors.gain(now, chosen.error).lack
+    if not errors.gain(now if keep else chosen.error, with_arms.error).lack:
+        chosen, keep = with_arms, ""
+    new = old.changed(chosen.change)
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
     judged = residual_changes(old, new, campaigns, meshes_relative, free_size=True)
     keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged]) or keep
-    rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
-    along = before[1] - after[1]
-    gain = float(along.mean()), float(along.std())
+    gain = errors.gain(now, chosen.error).along
     return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain))
-
-
-def lack_of_expected_gain(before: Array, after: Array) -> str:
-    """Return why numbers are not expected to be better, a clause; empty if they are.
-
-    Args:
-        before: results of `_drawn_rms` with the old numbers ``(2, draws)``, metres.
-        after: with the new ones.
-    """
-    weighted = (np.hypot(height, _LATERAL_WEIGHT * along) for height, along in (before, after))
-    gain, loss = np.subtract(*weighted), after[1] - before[1]
-    if reason := lack_of_gain(float(np.mean(gain)), float(np.std(gain))):
-        return reason
-    if loss.mean() <= loss.std():
-        return ""
-    size = with_sigma(float(loss.mean()) * 1e3, float(loss.std()) * 1e3)
-    return f"the tool is expected to err by {size} mm more along the plate"
 
 
 def rejection_reason(changes: Sequence[ResidualChange]) -> str:
@@ -200,29 +169,6 @@ def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:
     return numbers.points(command + old.zero - old.at_endstop + numbers.at_endstop)
 
 
-def _commands(numbers: Numbers, old: Numbers, points: Array) -> Array:
-    """Return travel ``(n, 3)`` as counted with the old numbers, by which a firmware with others
-    goes to points ``(n, 3)``.
-    """
-    return numbers.heights(points) - numbers.at_endstop + old.at_endstop - old.zero
-
-
-def _drawn_rms(machine: Machine, commands: Array, wanted: Array, relative: bool) -> Array:
-    """Return root mean squares of the errors of height and along the plate ``(2, draws)`` of the
-    nozzle at commands for places on the plate ``(n, 3)``, of machines drawn from the posterior,
-    metres.
-
-    The plane of the heights is removed from each deviation, as z = 0 is the plane of that machine's
-    own touches. The mean machine keeps its error of height and slope; where the height is unknown
-    (``relative``), that of slope only.
-    """
-    error, mean = drawn_errors(machine, commands, wanted), machine.forward(commands) - wanted
-    height = mean[:, 2] - relative * mean[:, 2].mean()
-    height = height + fit_plane(wanted, (error[:, :, 2] - mean[:, 2]).T)[1].T
-    along = _without_rigid_motion(wanted, error[:, :, :2])
-    return np.sqrt([np.mean(height**2, axis=1), np.mean(np.sum(along**2, axis=-1), axis=1)])
-
-
 def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[Array, Array]:
     """Return places ``(n, 2)`` and heights over z = 0 ``(n,)`` of a touched plate, metres.
 
@@ -291,27 +237,3 @@ def _calibrated_arms(machine: Machine) -> Triple:
         for leg in machine.geometry.leg_names
     )
     return a, b, c
-
-
-def _fit_numbers(start: Numbers, residuals: Callable[[Numbers], Array]) -> Numbers:
-    """Return numbers fitted by least squares, with the initial arms.
-
-    Without a solution, the initial numbers are returned, whose residuals then show no gain.
-    """
-    from scipy.optimize import least_squares  # which is slow to load
-
-    solution = least_squares(
-        lambda x: residuals(start.changed(x)), np.zeros(_FITTED_COUNT), "3-point", method="lm",
-        xtol=_FIT_TOLERANCE, ftol=_FIT_TOLERANCE, gtol=_FIT_TOLERANCE,
-    )  # fmt: skip
-    return start.changed(solution.x) if solution.success else start
-
-
-def _without_rigid_motion(points: Array, along: Array) -> Array:
-    """Return errors along the plate ``(..., n, 2)`` without their common shift and rotation."""
-    moves = np.zeros((len(points), 2, 3))
-    moves[:, 0, 0] = moves[:, 1, 1] = 1.0
-    moves[:, :, 2] = np.column_stack([-points[:, 1], points[:, 0]])
-    turn = np.linalg.qr(moves.reshape(-1, 3))[0]
-    flat = along.reshape(*along.shape[:-2], -1)
-    return np.asarray(flat - flat @ turn @ turn.T).reshape(along.shape)

@@ -80,13 +80,13 @@ class Numbers:
         return DeltaKinematics(np.column_stack([towers, np.full(3, height)]), np.array(self.arm))
 
     def changed(self, change: Array) -> Numbers:
-        """Return the numbers changed by ``(6,)``: endstops and radius, metres, angles of a and b,
-        radians.
+        """Return the numbers changed by ``(9,)``: endstops and radius, metres, angles of a and b,
+        radians, all arms, and arms a and b beyond that, metres.
         """
         return Numbers(
             self.delta_radius + float(change[3]),
             _triple(np.array(self.angle) + np.rad2deg([*change[4:6], 0.0])),
-            self.arm,
+            _triple(np.array(self.arm) + change[6] + [*change[7:9], 0.0]),
             _triple(np.array(self.endstop) + change[:3]),
         )
 
