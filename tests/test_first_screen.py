@@ -362,6 +362,7 @@ def test_small_errors_of_every_part_are_found_by_the_verdict_that_says_so_alone(
     scores = replace(found.before.scores, lack_of_fit_p=0.004 if word == "adequate" else 0.002)
     text = finding_text(replace(found, before=replace(found.before, scores=scores), possible=()))
     assert ("every part is off by about" in text) == (word == "diffuse")
-    by_chance = "noise alone leaves as large a residual with probability 0.004."
-    nothing = "wrong that these readings could show beyond the joint offsets and leg lengths: "
-    assert (f"{nothing}{by_chance}" in text) == (word == "adequate")
+    chance = "noise alone leaves as much with probability 0.004"
+    unusual = f"; their residual is larger than usual ({chance})."
+    nothing = "wrong that these readings could show beyond the joint offsets and leg lengths"
+    assert (f"{nothing}{unusual}" in text) == (word == "adequate")

@@ -97,7 +97,7 @@ def test_a_fitted_part_far_beyond_its_tolerance_is_a_finding(machine: og.Machine
     uncertain = replace(outcome.after, covariance=4e-7 * np.eye(len(outcome.after.names)))
     assert not fitted_beyond_tolerance(uncertain)
     (note,) = (note for note in notes(uncertain) if note.startswith("leg length"))
-    assert "but so uncertain (± 0.63 mm) that it may be within its tolerance of 0.1 mm" in note
+    assert "of 0.1 mm (± 0.63 mm, so it may be within three times it)" in note
 
 
 @pytest.mark.parametrize("as_points", [True, False])
@@ -114,7 +114,7 @@ def test_zeros_that_points_confirm_are_advised_although_they_contradict_the_caus
     held = campaign_of(rc.simulate(straight, "standard", rng), machine)
     result = og.close_loop(read, machine, **({"tcp": points} if as_points else {"holdout": held}))
     assert [cause.name for cause in result.effects] == ["rail_bow.x.z"]
-    assert "so do not act on it before it is confirmed. They confirm the new zeros" in (
+    assert "so do not act on it before it is confirmed. But they confirm the new zeros" in (
         headline(result)
     )
     kinds = [action.kind for action in result.actions]

@@ -317,8 +317,6 @@ def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
     """
     if not outcome.request.searches or outcome.firmware is not None:
         return None
-    if outcome.zeros_confirmed:
-        return Withheld("compensate", lower_first(outcome.refuted[:-1]))
     gain, sigma = outcome.compensation_gain
     if gain <= _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape:
         return None

@@ -25,8 +25,8 @@ from orthoglide.result.result import Judged
 from orthoglide.text import sentence
 
 _ZEROS_CONFIRMED = (
-    "They confirm the new zeros, with which they are predicted better than without them; "
-    "calibrated.toml contains the base model alone."
+    "But they confirm the new zeros, which predict them better than the old ones: enter these. "
+    "calibrated.toml contains the base model without what was found."
 )
 
 
@@ -46,7 +46,7 @@ class RunOutcome(Judged, CredibleSets):
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
     # whether readings or points held out contradict what was found, and confirm the zeros of the
-    # base model, which then is the calibrated machine
+    # base model, which then is the calibrated machine, without the finding
     zeros_confirmed: bool = False
     not_contained: str = ""  # changes since earlier readings that it lacks, a sentence; else empty
 
@@ -59,14 +59,15 @@ class RunOutcome(Judged, CredibleSets):
 
     @cached_property
     def machine(self) -> Machine:
-        """The calibrated machine with its covariance: the posterior's mean, or the base model if
-        significant residuals remain, or if what was found is contradicted and the zeros are not.
+        """The calibrated machine with its covariance: the base model if significant residuals
+        remain, or if what was found is contradicted but the zeros are confirmed; otherwise the
+        posterior's mean.
 
         Its provenance contains the verdict, and the causes and the cautions that concern it.
         """
         provenance: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
         cautions = list(self.cautions)
-        if self.zeros_confirmed:  # it has nothing of what is contradicted
+        if self.zeros_confirmed:  # the base model does not contain what is contradicted
             cautions = [c for c in cautions if not c.startswith(self.refuted)]
         else:
             provenance |= self._findings_by_name

@@ -25,7 +25,7 @@ from orthoglide.observations.tables import shared_fraction
 from orthoglide.prediction import Conditions
 from orthoglide.result import HoldOut, Request, TcpErrors
 
-_EQUAL_RATIO = 1.05  # ratio of two errors held out from which one is larger than the other
+_CLEAR_RATIO = 1.05  # least ratio of two errors held out that is told from chance
 _MAX_ERROR_RATIO = 3.0  # ratio of errors to expected errors from which points fit no machine
 
 
@@ -65,26 +65,28 @@ def _confirms_zeros(outcome: RunOutcome) -> bool:
     """Return whether readings and points held out confirm the zeros of the base model where they
     contradict what was found.
 
-    They do if the base model and the new zeros alone predict them better than the nominal machine
-    does, and if no drive with its old zero would improve on that.
+    They do if the base model predicts them clearly better than the nominal machine does, and no
+    worse than the new zeros alone, which are clearly better too; and if the old zero of no single
+    drive clearly improves on the new one.
     """
     request, problem = outcome.request, outcome.before.problem
     if not outcome.stands or not outcome.refuted or outcome.contradicted != outcome.refuted:
         return False
     if request.machine.spec.printer is not None or outcome.sizes is not None:
-        return False  # which take more than zeros
+        return False  # their controllers take sizes besides zeros
     base = problem.values(problem.last_factor_index, outcome.before.x)
     zeros = best_zeros(replace(outcome, zeros_confirmed=True).machine)
-    of_nominal, of_zeros = _errors_held_out({}, request), _errors_held_out(zeros, request)
-    better = np.stack([_errors_held_out(base, request), of_zeros]) < of_nominal / _EQUAL_RATIO
-    others = [{n: v for n, v in zeros.items() if n != kept} for kept in zeros]
-    of_others = np.stack([_errors_held_out(values, request) for values in others])
-    return bool(better.all() and (of_zeros < of_others * _EQUAL_RATIO).all())
+    others = [{n: v for n, v in zeros.items() if n != old} for old in zeros]
+    machines = {}, base, zeros, *others
+    nominal, of_base, of_zeros, *of_others = (_errors_held_out(v, request) for v in machines)
+    better = np.stack([of_base, of_zeros]) < nominal / _CLEAR_RATIO
+    as_good = [of_base < of_zeros * _CLEAR_RATIO, *(of_zeros < o * _CLEAR_RATIO for o in of_others)]
+    return bool(better.all() and np.all(as_good))
 
 
 def _errors_held_out(values: Mapping[str, float], request: Request) -> Array:
-    """Return the error of a machine at the readings held out, and the one at the points ``(k,)``;
-    ``values`` are its parameters, SI.
+    """Return the error of a machine at the readings held out, the product over their units, and the
+    one at the points ``(k,)``, of which only ratios mean something; ``values``: parameters, SI.
     """
     machine, errors = request.machine, list[float]()
     if held := request.holdout:

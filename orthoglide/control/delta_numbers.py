@@ -22,15 +22,15 @@ from orthoglide.numerals import with_sigma
 from orthoglide.observations import Readings
 
 ENDSTOPS, RADIUS, TOWERS, ARMS = [0, 1, 2], [3], [4, 5], [6]
-"""Columns of a change of the numbers: endstops; radius of all towers; places of towers a and b on
-their circle, as a turn of all towers is no error; length of all arms. Two more are the length of
-arms a and b beyond that."""
+"""Columns of a change of the numbers: endstops; radius of all towers; displacement of towers a and
+b along their circle (c is fixed, as a turn of all towers is no error); length of all arms. The last
+two of `NUMBER_COUNT` are additional lengths of arms a and b."""
 
 NUMBER_COUNT = 9
-_FITTED_COUNT = 7  # as many touches fit exactly, so more are needed
+_FITTED_COUNT = 7  # numbers, which fit any seven touches exactly
 _STEPS = 4  # of Gauss-Newton with constant derivatives: a fifth changes less than a micrometre
 _DIFFERENCE = 1e-6  # metres and radians: derivatives by central differences err by less than 1e-8
-_COMMON_WEIGHT = 1e-3  # of motions that are no error: small, they decide between equal numbers
+_COMMON_WEIGHT = 1e-3  # of rigid motions: small, to select among equally good numbers
 _ALONG_WEIGHT = 0.3
 """Weight of errors along the plate against those of height, of sizes that an owner enters: a print
 shows an error of a tenth of a millimetre in height, half a layer, as clearly as one of three tenths
@@ -39,7 +39,8 @@ along the plate."""
 _ARM_SD = 1e-3  # metres, of arms that were entered by a rule or a shop's page
 _MIN_SPREAD = 1 / 6
 """Root mean square of the places, as a share of the towers' radius, in the direction in which they
-spread least: that of a disk of a third. Touches of a plate's middle do not determine its rim."""
+spread least: that of a uniform disk of a third of it. Touches of a plate's middle do not determine
+its rim."""
 
 _MIN_RELATIVE_GAIN = 0.02  # of the tool's error now: a smaller gain is not worth a number
 
@@ -63,11 +64,11 @@ class Gain(NamedTuple):
     weighted: tuple[float, float]
     height: tuple[float, float]
     along: tuple[float, float]  # along the plate, without the weight
-    present: float  # weighted error without the numbers, metres
+    present: float  # weighted error with the present numbers, metres
 
     @property
     def lack(self) -> str:
-        """Why the numbers are not expected to be better, a clause; empty if they are."""
+        """Why the new numbers should not be entered, a clause; empty if they should."""
         if reason := lack_of_gain(*self.weighted):
             return reason
         for (gain, sigma), where in ((self.along, "along the plate"), (self.height, "in height")):
@@ -80,9 +81,10 @@ class Gain(NamedTuple):
 class PlateErrors:
     """Errors of a calibrated delta over its plate, by the numbers of its controller.
 
-    A shift or turn along the plate is no error, and nor is a common height where touches do not
-    determine it. Deviations are those of machines drawn from the posterior; they have no height or
-    tilt, as the touches determine both for every machine.
+    A shift or turn along the plate is no error, and nor is a common height unless ``has_height``.
+    Deviations are those of machines drawn from the posterior, without rigid motions, as z = 0 is
+    the plane of each machine's own touches. What unmeasured arms or a bowl of the plate would do
+    along the plate is added to them.
 
     Args:
         machine: calibrated machine.
@@ -91,7 +93,7 @@ class PlateErrors:
         plane: height of the plate over z = 0 there ``(n,)``, metres.
         along_weight: weight of errors along the plate against those of height.
         has_height: whether the touches determine the height of the plate.
-        arms_seen: whether the rods were measured, or readings along the plate show their length.
+        arms_seen: see `arms_are_seen`.
     """
 
     def __init__(
@@ -107,7 +109,7 @@ class PlateErrors:
         motions[[2, 4, 5]] = np.cross(np.eye(3)[[2, 0, 1], None], places)
         rigid = np.linalg.qr(motions.reshape(6, -1).T)[0]
         self._level, change = rigid[:, : 3 if has_height else 4], np.zeros(NUMBER_COUNT)
-        for _ in range(2):  # derivatives by the numbers (3 n, 9), at last where all of them fit
+        for _ in range(2):  # derivatives of the computed places (3 n, 9), finally at the fit
             self._slopes = np.stack([
                 (self.error(change - e) - self.error(change + e)).ravel() / (2 * _DIFFERENCE)
                 for e in _DIFFERENCE * np.eye(NUMBER_COUNT)
@@ -136,12 +138,14 @@ class PlateErrors:
         return Fit(change, self.error(change))
 
     def _rows(self, columns: Array) -> Array:
-        """Return columns of errors ``(3 n, m)`` weighted, with four rows of motions at most."""
+        """Return weighted columns of errors ``(3 n, m)``, and below them those of rigid motions."""
         weighted = np.tile(self._weights, len(self._places))[:, None] * self._leveled(columns)
         return np.vstack([weighted, _COMMON_WEIGHT * self._level.T @ columns])
 
     def gain(self, before: Array, after: Array) -> Gain:
-        """Return what numbers gain, by errors of the tool ``(n, 3)`` without and with them."""
+        """Return the decrease of the tool's error from the present numbers to new ones, given its
+        errors ``(n, 3)`` with each.
+        """
         leveled = (self._leveled(e.reshape(-1, 1)).reshape(-1, 3) for e in (before, after))
         squares = [np.mean((e + self._deviations) ** 2, axis=1) for e in leveled]  # (draws, 3)
 
@@ -154,7 +158,7 @@ class PlateErrors:
         return Gain(part(weights), part(up), part(1 - up), present)
 
     def _leveled(self, columns: Array) -> Array:
-        """Return columns of errors ``(3 n, m)`` without motions that are no error."""
+        """Return columns of errors ``(3 n, m)`` without the rigid motions that are no error."""
         return np.asarray(columns - self._level @ (self._level.T @ columns))
 
     def _unseen(self, arms_seen: bool) -> Array:
@@ -172,13 +176,18 @@ class PlateErrors:
 
 
 def reach_rim(places: Array, radius: float) -> bool:
-    """Return whether places ``(n, 2+)`` spread beyond the middle of a plate, by the radius of the
-    towers, metres.
+    """Return whether places ``(n, 2+)`` spread far enough to determine the rim of a plate, relative
+    to the radius of the towers, metres.
     """
     if len(places) < 3:
         return False
     spread = np.linalg.eigvalsh(np.cov(places[:, :2].T, bias=True))[0]
     return bool(spread >= (_MIN_SPREAD * radius) ** 2)
+
+
+def arms_are_seen(machine: Machine, campaigns: Iterable[Readings]) -> bool:
+    """Return whether the rods were measured, or distances along the plate show their length."""
+    return machine.spec.measured.rods is not None or any(c.paired.any() for c in campaigns)
 
 
 @dataclass(frozen=True)
@@ -195,15 +204,16 @@ class DeltaSizes:
     advised: bool  # whether the set is to be entered, by the rule of `best_sizes`
 
 
-def best_sizes(machine: Machine, campaigns: Iterable[Readings]) -> DeltaSizes | None:
+def best_sizes(machine: Machine, campaigns: Sequence[Readings]) -> DeltaSizes | None:
     """Return the numbers for a calibrated delta's controller; ``None`` if touches are too few,
     or do not spread beyond the middle of the plate.
 
     Each subset of the sizes is fitted together with the endstops, so that the tool errs least where
     the plate was touched, which is z = 0. Its score is the gain less two standard deviations; a
-    subset does not count if the error in height or along the plate rises by more than one. The
-    first subset, fewest sizes first, within 2 % of the present error of the best score is returned.
-    If no score exceeds 2 %, the fit of all sizes is returned and not advised.
+    subset does not count if the error in height or along the plate rises by more than one standard
+    deviation. Of the subsets whose score is within 2 % of the present error of the best score, the
+    one with the fewest sizes is returned. If no score exceeds 2 %, the fit of all sizes is returned
+    and not advised.
     """
     touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
     points = np.concatenate([np.zeros((0, 3)), *(_touched_places(machine, t) for t in touched)])
@@ -211,7 +221,7 @@ def best_sizes(machine: Machine, campaigns: Iterable[Readings]) -> DeltaSizes | 
     if len(points) <= _FITTED_COUNT or not reach_rim(points, radius):
         return None
     plane = points[:, 2] - fit_plane(points, points[:, 2])[1]
-    computes, arms_seen = _sized_controller(machine), machine.spec.measured.rods is not None
+    computes, arms_seen = _sized_controller(machine), arms_are_seen(machine, campaigns)
     places = points * [1.0, 1.0, 0.0]
     errors = PlateErrors(machine, computes, places, plane, _ALONG_WEIGHT, False, arms_seen)
     now, sets = errors.error(np.zeros(NUMBER_COUNT)), list[tuple[float, Array, Gain]]()
@@ -247,7 +257,7 @@ def _sized_controller(machine: Machine) -> Computes:
     columns = [{f"{zero}.{leg}": 1.0} for leg in legs]
     columns += [{f"{place}.{leg}.radial": 1.0 for leg in legs}]
     columns += [{f"{place}.{x}.tangential": 1.0, f"{place}.{c}.tangential": -1.0} for x in (a, b)]
-    columns += [{f"{arm}.{leg}": 1.0 for leg in kept} for kept in (legs, a, b)]
+    columns += [{f"{arm}.{leg}": 1.0 for leg in kept} for kept in (legs, (a,), (b,))]
     names = tuple(dict.fromkeys(name for column in columns for name in column))
     matrix = np.array([[column.get(name, 0.0) for column in columns] for name in names])
 

@@ -67,4 +67,4 @@ def closure_explained(before: Estimate) -> Iterator[None]:
 
 def exceeded_limits(estimate: Estimate) -> list[str]:
     """Return a clause for each base parameter that is far beyond its tolerance."""
-    return [note.partition(":")[0] for note in tolerance_notes(estimate, sigmas=0.0)]
+    return [note.partition(":")[0] for note in tolerance_notes(estimate, uncertain=True)]

@@ -227,10 +227,11 @@ def far_base_causes(posterior: FullPosterior) -> Iterator[Cause]:
 
 
 def fitted_beyond_tolerance(estimate: Estimate) -> tuple[Cause, ...]:
-    """Return the fitted parameters that certainly exceed three tolerances, except zeros of drives
-    and what an earlier calibration found: those of which the notes on a fit say so.
+    """Return, as causes, the fitted parameters that exceed three tolerances by at least two
+    standard deviations, except zeros of drives and parameters from an earlier calibration.
     """
     problem, values, sigmas = estimate.problem, estimate.values, estimate.sigmas
+    deviation = np.abs(problem.without_common_error(estimate.x))
     catalogue, causes = problem.machine.catalogue, list[Cause]()
     margin = CERTAIN_SIGMAS * np.sqrt(np.diag(estimate.covariance))
     for k in np.flatnonzero(problem.is_implausible(estimate.x, margin)):
@@ -240,7 +241,7 @@ def fitted_beyond_tolerance(estimate: Estimate) -> tuple[Cause, ...]:
         explanation = Explanation(
             str(name),
             (str(name),),
-            float(ndtr((abs(values[name]) - limit) / sigmas[name])),
+            float(ndtr((deviation[k] - limit) / sigmas[name])),
             {str(name): values[name]},
             {str(name): sigmas[name]},
             catalogue,

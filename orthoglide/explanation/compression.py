@@ -5,10 +5,10 @@ Visits to a station have equal rows, except where a column depends on time or on
 equal weights, the mean of readings with equal rows is sufficient for the coefficients.
 
 Rows are processed in blocks of whole stations. With whitened, projected columns A of unit
-length, the pivoted Cholesky factor ``A^T A = L L^T`` gives orthonormal directions ``A_k L_k^-T`` of
-the columns k that it keeps, in which columns, residual and station errors are expressed. Of the
-residual orthogonal to them only the sum of squares over the stations, and its degrees of freedom,
-are kept.
+length, a pivoted Cholesky factorisation selects independent ones ``A_k`` with ``A_k^T A_k = L_k
+L_k^T``. Columns, residual and station errors are expressed in the orthonormal directions ``A_k
+L_k^-T``. Of the residual orthogonal to them only the sum of squares over the stations, and its
+degrees of freedom, are kept.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpstrf
 
+from orthoglide.errors import NumericsError
 from orthoglide.explanation.linear_model import NO_REMAINDER, StationRemainder
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
@@ -39,7 +40,7 @@ MOST_RANKED_READINGS = 10_000
 for more, four matrices by unknowns take over 0.4 GB."""
 
 _BLOCK = 4096  # readings in a block, which is no larger than readings that are not compressed
-_ROUNDING = 1e-12  # share of a column's square below which what others leave of it is rounding
+_ROUNDING = 1e-12  # square of what others leave of a unit column, below which it is rounding
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -192,6 +193,8 @@ def compress_readings(
     length = np.sqrt(np.diag(gram)[:-1])
     length = np.where(length > 0, length, 1.0)
     scaled = gram[:-1, :-1] / length / length[:, None]
+    if not np.isfinite(scaled).all():  # of which the factorisation would drop columns
+        raise NumericsError("the readings' derivatives are not finite: check the machine's sizes")
     factor, order, rank, _ = dpstrf(scaled, tol=_ROUNDING, lower=1, overwrite_a=1)
     order -= 1
     columns, kept, root = np.empty((rank, len(order))), order[:rank], factor[:rank, :rank]

@@ -42,7 +42,7 @@ _MOST_LINES_LISTED = 12  # lines that a message lists one by one
 _POSTURE_KINDS = ("command", "noisy")  # what a defect of the machine at a posture reads like
 _VISITED_ONCE = (
     "; nothing here was visited twice, and a defect of the machine at one place, such as a bump of "
-    "a rail, would read alike"
+    "a rail, would read alike: visit it again"
 )
 _LOST_MOTION = f"; or it is lost motion, as {APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}"
 

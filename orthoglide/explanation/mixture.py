@@ -229,7 +229,7 @@ class Mixture(Search):
         return self.scales[largest(self.weights[state])]
 
     @cached_property
-    def chi2(self) -> float:
+    def _chi2_of_best(self) -> float:
         """Chi2 of the best state at its likeliest scale, its priors counted."""
         scale = self._likeliest_scale(self.best)
         left, shrink = self._active_directions(scale, self.best)
@@ -239,7 +239,13 @@ class Mixture(Search):
     @property
     def chi2_per_dof(self) -> float:
         """Chi2 per degree of freedom of the best state, its priors counted."""
-        return self.chi2 / max(len(self.linear.residual), 1)
+        return self._chi2_of_best / max(len(self.linear.residual), 1)
+
+    @property
+    def chi2_with_remainder(self) -> float:
+        """Chi2 of the best state, with that of station means that no column moves."""
+        variance = self._likeliest_scale(self.best).basis.station_variance
+        return self._chi2_of_best + self.linear.station_remainder.chi2 / variance
 
     def alternatives_to(self, group: int, rise: float) -> dict[int, float]:
         """Return the groups that could be active in place of one, with the size of each.

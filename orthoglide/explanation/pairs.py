@@ -17,7 +17,7 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, descending
 # these doubled, or four times the pairs, no result changed.
 _NEAR_LOG_ODDS = 4.0  # below the best pair, within which pairs are compared on the whole grid
 _MOST_PAIRS = 40  # most such pairs
-_NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus: one in 3000
+NEGLIGIBLE_LOG_ODDS = 8.0  # below the best pair and taus: one in 3000
 
 
 class PartialProducts(NamedTuple):
@@ -80,7 +80,7 @@ def likely_pairs(
     prior_weights, tau_pairs = log_weights[:, None] - cost[i] - cost[j], [*product(slabs, slabs)]
     given = square, products, (i, j), cross
     weights_by_tau = [prior_weights + _gain(*given, taus) for taus in tau_pairs]
-    least_weight = max(float(f.max()) for f in weights_by_tau) - _NEGLIGIBLE_LOG_ODDS
+    least_weight = max(float(f.max()) for f in weights_by_tau) - NEGLIGIBLE_LOG_ODDS
     for (tau, other_tau), weights in zip(tau_pairs, weights_by_tau, strict=True):
         for k in np.flatnonzero(weights.max(axis=0) > least_weight):
             yield int(i[k]), tau, int(j[k]), other_tau, weights[:, k]

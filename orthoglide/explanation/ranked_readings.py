@@ -72,14 +72,15 @@ def likeliest_misreading(
     best: tuple[float, Fault | None]
     # By a clear margin, as the prior probability of a misreading is a guess.
     best = max(posterior.evidence, other_evidence) + TWENTY_TO_ONE, None
-    least, limit = max(other_evidence - posterior.evidence, 0.0), _evidence_limit(posterior)
+    least = max(other_evidence - posterior.evidence, 0.0)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
     ):
         # A search of the corrected readings seldom raises the odds: it finds more to explain in the
-        # readings as they stand. So alternatives that are far behind are not searched.
+        # readings as they stand. So alternatives that are far behind are not searched, nor those
+        # that would not win even if the corrected readings fitted as well as noise allows.
         likely = posterior.evidence + log_odds + TWENTY_TO_ONE
-        if min(likely, limit + alternative.log_odds) < best[0]:
+        if min(likely, _evidence_limit(posterior, alternative) + alternative.log_odds) < best[0]:
             continue
         try:
             corrected = with_faults_corrected(base.problem, [alternative])
@@ -92,14 +93,18 @@ def likeliest_misreading(
     return best
 
 
-def _evidence_limit(posterior: FullPosterior) -> float:
-    """Return the log evidence that alternative readings of the same rows seldom exceed: without
-    causes, with a chi2 of its mean less a standard deviation, or of the best explanation of the
-    readings as they stand if that is less.
+def _evidence_limit(posterior: FullPosterior, alternative: Fault) -> float:
+    """Return a log evidence that corrected readings seldom exceed: that of a model without causes
+    and background.
+
+    Its chi2 is the smaller of two: the expected one less a standard deviation, and that of the best
+    explanation of the readings as they stand.
     """
     mixture, model = posterior.mixture, posterior.linearised
-    remaining = mixture.chi2 + mixture.linear.station_remainder.chi2 + model.unexplainable_chi2
-    dof = len(model.value_at_zero) - model.nuisance.unconstrained_count
+    remaining = mixture.chi2_with_remainder + model.unexplainable_chi2
+    _, lost = corrected_readings(model.problem, alternative)
+    count = np.sum(model.problem.weighted) - len(lost)
+    dof = max(float(count - model.nuisance.unconstrained_count), 0.0)
     chi2 = min(dof - np.sqrt(2 * dof), remaining) - model.unexplainable_chi2
     log_weight = max(scale.basis.largest_log_z for scale in mixture.scales) - chi2 / 2
     return float(posterior.evidence + log_weight - mixture.log_weight(mixture.best))

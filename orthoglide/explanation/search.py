@@ -29,7 +29,7 @@ from orthoglide.explanation.linear_model import (
     left_singular,
     scale_grid,
 )
-from orthoglide.explanation.pairs import PartialProducts, likely_pairs
+from orthoglide.explanation.pairs import NEGLIGIBLE_LOG_ODDS, PartialProducts, likely_pairs
 from orthoglide.fit.least_squares import explained_by_two, rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
@@ -164,9 +164,10 @@ class Search:
         if state not in self.visited:
             self.visited[state] = self._log_weights(state, partial)
         weights = self.visited[state]
-        # A pair explains at most all of chi2 that remains.
+        # Scales at which even a pair that explained all of the remaining chi2 would be negligible
+        # beside the best state are skipped.
         limits = weights + (self._chi2 - partial.explained) / 2
-        is_possible = limits > self.log_weight(self.best)
+        is_possible = limits > self.log_weight(self.best) - NEGLIGIBLE_LOG_ODDS
         is_excluded = np.isin(singles, [*excluded, *(g for g, _ in state)])
         cost = np.where(is_excluded, np.inf, self.cost[singles])
         for i, tau, j, other_tau, log_weights in likely_pairs(

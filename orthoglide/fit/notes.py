@@ -12,7 +12,6 @@ from orthoglide.fit.factors import Factor
 from orthoglide.fit.noise_notes import noisy_repeats, small_residuals
 from orthoglide.fit.problem import CERTAIN_SIGMAS, Problem
 from orthoglide.fit.repeats import MAX_NOISE_RATIO
-from orthoglide.geometry import Array
 from orthoglide.instruments import PRINTED, SHRINKAGE_BY_MATERIAL
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, with_sigma
@@ -71,7 +70,7 @@ def notes(estimate: Estimate) -> tuple[Note, ...]:
         text = f"{name} ended on its bound: it is not identified; check the readings and the units"
         collected.append(Note(text, "bound"))
     if estimate.method != "posterior":  # whose means are over several explanations
-        collected += [*tolerance_notes(estimate), *_uncertain_tolerance_notes(estimate)]
+        collected += tolerance_notes(estimate, uncertain=True)
     check = estimate.check
     if check is not None and not check.second_order:
         text = (
@@ -116,42 +115,27 @@ def _copied_point_lines(table: Readings) -> tuple[int, ...]:
     return tuple(np.delete(points.line, first).tolist())
 
 
-def tolerance_notes(estimate: Estimate, sigmas: float = CERTAIN_SIGMAS) -> Iterator[Note]:
-    """Yield notes on parameters that exceed their limits by so many standard deviations."""
-    problem = estimate.problem
-    for k in np.flatnonzero(problem.is_implausible(estimate.x, _margin(estimate, sigmas))).tolist():
-        tolerance = problem.unknowns[k].tolerance
-        ratio = abs(float(estimate.x[k])) / tolerance
-        yield _tolerance_note(estimate, k, f"{ratio:.1f} times its tolerance of {{}}")
-
-
-def _uncertain_tolerance_notes(estimate: Estimate) -> Iterator[Note]:
-    """Yield notes on parameters that exceed their limits, but not certainly."""
-    problem, sd = estimate.problem, _margin(estimate, 1.0)
-    certain = problem.is_implausible(estimate.x, _margin(estimate, CERTAIN_SIGMAS))
-    for k in np.flatnonzero(problem.is_implausible(estimate.x) & ~certain).tolist():
-        unit = estimate.unit(problem.names[k])
-        sigma = f"{compact(sd[k] / unit.si, 2)}{unit.behind}"
-        within = f"but so uncertain (± {sigma}) that it may be within its tolerance of {{}}"
-        yield _tolerance_note(estimate, k, within)
-
-
-def _margin(estimate: Estimate, sigmas: float) -> Array:
-    """Return so many standard deviations of each parameter ``(P,)``, SI."""
-    return np.asarray(sigmas * np.sqrt(np.diag(estimate.covariance)))
-
-
-def _tolerance_note(estimate: Estimate, k: int, comparison: str) -> Note:
-    """Return a note on the k-th parameter; ``comparison`` has a blank for its tolerance."""
-    catalogue, unknown = estimate.problem.machine.catalogue, estimate.problem.unknowns[k]
-    unit, effect = estimate.unit(unknown.name), catalogue.effect_of(unknown.name)
-    tolerance = f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}"
-    return Note(
-        f"{difference_words(catalogue, unknown.name)} is "
-        f"{signed_size(effect, float(estimate.x[k]))}, {comparison.format(tolerance)}: measure it; "
-        f"if it is so and will not be repaired, enter a larger tolerance in the machine file",
-        "tolerance",
-    )
+def tolerance_notes(estimate: Estimate, *, uncertain: bool = False) -> Iterator[Note]:
+    """Yield notes on parameters that certainly exceed three tolerances, or on all that exceed them
+    if those that do so by chance are wanted too.
+    """
+    problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
+    sd = np.sqrt(np.diag(estimate.covariance))
+    certain = problem.is_implausible(estimate.x, CERTAIN_SIGMAS * sd)
+    for k in np.flatnonzero(problem.is_implausible(estimate.x) if uncertain else certain).tolist():
+        unknown, value = problem.unknowns[k], float(estimate.x[k])
+        unit, effect = estimate.unit(unknown.name), catalogue.effect_of(unknown.name)
+        doubt = (
+            f"(± {compact(sd[k] / unit.si, 2)}{unit.behind}, so it may be within three times it)"
+        )
+        yield Note(
+            f"{difference_words(catalogue, unknown.name)} is {signed_size(effect, value)}, "
+            f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "
+            f"{compact(unknown.tolerance / unit.si, 2)}{unit.behind}"
+            f"{'' if certain[k] else f' {doubt}'}: measure it; if it is so and will not be "
+            f"repaired, enter a larger tolerance in the machine file",
+            "tolerance",
+        )
 
 
 def step_notes(problem: Problem) -> Iterator[Note]:

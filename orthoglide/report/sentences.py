@@ -59,9 +59,7 @@ MEAN_WITH_PLATE = "on average, nothing if it is the plate"
 
 
 def headline(result: Result) -> str:
-    """Return the result in a few sentences: contradictions, advice of the firmware's add-on, the
-    finding, and its evidence.
-    """
+    """Return contradictions, the add-on's advice, the finding and its evidence, in sentences."""
     first = "" if result.firmware is None else result.firmware.first
     return _joined(result.contradicted, first, claim_text(result), evidence(result))
 
@@ -113,8 +111,9 @@ def finding_text(result: Result) -> str:
     more = " else" if result.changed or first or result.contradicted or again else ""
     base = base_effects(result)
     text = f"{first}Nothing{more} is wrong that these readings could show beyond the {base}"
-    if (chance := result.before.scores.lack_of_fit_p) < _BASE_FITS_P:  # but not significant
-        text += f": noise alone leaves as large a residual with probability {probability(chance)}"
+    if (p := result.before.scores.lack_of_fit_p) < _BASE_FITS_P:  # unusual, but not significant
+        unusual = f"noise alone leaves as much with probability {probability(p)}"
+        text += f"; their residual is larger than usual ({unusual})"
     return f"{text}."
 
 

@@ -12,7 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from orthoglide.add_ons import Corrections
-from orthoglide.control.delta_numbers import ENDSTOPS, RADIUS, TOWERS, PlateErrors, reach_rim
+from orthoglide.control.delta_numbers import (
+    ENDSTOPS,
+    RADIUS,
+    TOWERS,
+    PlateErrors,
+    arms_are_seen,
+    reach_rim,
+)
 from orthoglide.firmware.klipper.heights import CALIPER_REPEATABILITY, PROBE_REPEATABILITY
 from orthoglide.firmware.klipper.numbers import (
     CALIBRATION,
@@ -77,7 +84,7 @@ def new_numbers(
     plane = plane_columns(points) @ _zero_plane(touched, plates, reach, meshes_relative)
     has_height = not meshes_relative or any(t.name == CALIBRATION for t in touched)
     rods_measured = machine.spec.measured.rods is not None  # and the machine's arms are as measured
-    arms_seen = rods_measured or any(c.paired.any() for c in campaigns)
+    arms_seen = arms_are_seen(machine, campaigns)
 
     def computes(change: Array, commands: Array) -> Array:
         return _firmware_points(old.changed(change), old, commands)
