@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
 
-from orthoglide.accuracy import expected_gain, tool_settings
+from orthoglide.accuracy import best_zeros, expected_gain, tool_settings
 from orthoglide.add_ons import Corrections, Section
 from orthoglide.control import ControllerNumbers, DeltaSizes, best_sizes, controller_numbers
 from orthoglide.explanation import CredibleSets, FullPosterior, budget
@@ -26,7 +26,7 @@ from orthoglide.text import sentence
 
 _ZEROS_CONFIRMED = (
     "But they confirm the new zeros, which predict them better than the old ones: enter these. "
-    "calibrated.toml contains the base model without what was found."
+    "calibrated.toml contains them alone."
 )
 
 
@@ -45,8 +45,8 @@ class RunOutcome(Judged, CredibleSets):
     fit_with_faults: Estimate | None = None  # base fit with the faulty readings, if there are any
     hold_out: HoldOut | None = None  # scores on readings held out
     tcp: dict[str, TcpErrors] | None = None  # errors at measured TCP points by alignment
-    # whether readings or points held out contradict what was found, and confirm the zeros of the
-    # base model, which then is the calibrated machine, without the finding
+    # whether readings or points held out contradict what was found but confirm the new zeros, which
+    # then are all that the calibrated machine has
     zeros_confirmed: bool = False
     not_contained: str = ""  # changes since earlier readings that it lacks, a sentence; else empty
 
@@ -60,14 +60,13 @@ class RunOutcome(Judged, CredibleSets):
     @cached_property
     def machine(self) -> Machine:
         """The calibrated machine with its covariance: the base model if significant residuals
-        remain, or if what was found is contradicted but the zeros are confirmed; otherwise the
-        posterior's mean.
+        remain, the zeros alone if only they are confirmed, and otherwise the posterior's mean.
 
         Its provenance contains the verdict, and the causes and the cautions that concern it.
         """
         provenance: dict[str, Any] = {"command": self.request.command, "verdict": self.word}
         cautions = list(self.cautions)
-        if self.zeros_confirmed:  # the base model does not contain what is contradicted
+        if self.zeros_confirmed:  # it does not contain what is contradicted
             cautions = [c for c in cautions if not c.startswith(self.refuted)]
         else:
             provenance |= self._findings_by_name
@@ -109,21 +108,29 @@ class RunOutcome(Judged, CredibleSets):
 
     @property
     def _tool_readings(self) -> list[Readings]:
-        fit = self.before if self._keeps_base else self.after  # whose machine is the calibrated one
+        of_posterior = self.stands and not self.zeros_confirmed
+        fit = self.after if of_posterior else self.before  # nearest to the calibrated machine
         return [f.readings for f in fit.problem.tool_factors]
 
     @property
     def _calibrated_machine(self) -> Machine:
         if self.posterior is None:
             return self.after.machine
-        machine = self.posterior.machine
-        base = self.before.machine.values
-        return machine.with_posterior(base, machine.posterior) if self._keeps_base else machine
+        if self.zeros_confirmed:
+            return self.zeros_alone
+        return self.posterior.machine if self.stands else self._base_machine
 
     @property
-    def _keeps_base(self) -> bool:
-        """Whether the calibrated machine is the base model, without what was found."""
-        return self.zeros_confirmed or not self.stands
+    def _base_machine(self) -> Machine:
+        """The machine of the base model, with the covariance of the full one."""
+        machine = (self.posterior or self.after).machine
+        return machine.with_posterior(self.before.machine.values, machine.posterior)
+
+    @cached_property
+    def zeros_alone(self) -> Machine:
+        """The machine with nothing but the best zeros of the base model."""
+        base = self._base_machine
+        return base.with_posterior(best_zeros(base), base.posterior)
 
     @cached_property
     def identified(self) -> dict[str, Identified]:

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from orthoglide.accuracy import best_zeros, tcp_map
+from orthoglide.accuracy import tcp_map
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.fit import assemble, solve
 from orthoglide.fit.least_squares import linearise, nuisances
@@ -62,26 +62,22 @@ def validate(outcome: RunOutcome) -> RunOutcome:
 
 
 def _confirms_zeros(outcome: RunOutcome) -> bool:
-    """Return whether readings and points held out confirm the zeros of the base model where they
-    contradict what was found.
+    """Return whether readings and points held out confirm the new zeros where they contradict what
+    was found.
 
-    They do if the base model predicts them clearly better than the nominal machine does, and no
-    worse than the new zeros alone, which are clearly better too; and if the old zero of no single
-    drive clearly improves on the new one.
+    They do if the new zeros alone predict them clearly better than the nominal machine does, and
+    if the old zero of no single drive clearly improves on the new one.
     """
-    request, problem = outcome.request, outcome.before.problem
+    request = outcome.request
     if not outcome.stands or not outcome.refuted or outcome.contradicted != outcome.refuted:
         return False
     if request.machine.spec.printer is not None or outcome.sizes is not None:
         return False  # their controllers take sizes besides zeros
-    base = problem.values(problem.last_factor_index, outcome.before.x)
-    zeros = best_zeros(replace(outcome, zeros_confirmed=True).machine)
-    others = [{n: v for n, v in zeros.items() if n != old} for old in zeros]
-    machines = {}, base, zeros, *others
-    nominal, of_base, of_zeros, *of_others = (_errors_held_out(v, request) for v in machines)
-    better = np.stack([of_base, of_zeros]) < nominal / _CLEAR_RATIO
-    as_good = [of_base < of_zeros * _CLEAR_RATIO, *(of_zeros < o * _CLEAR_RATIO for o in of_others)]
-    return bool(better.all() and np.all(as_good))
+    zeros = outcome.zeros_alone.values
+    others = [{}, *({n: v for n, v in zeros.items() if n != old} for old in zeros)]
+    of_zeros, nominal, *with_old = (_errors_held_out(v, request) for v in (zeros, *others))
+    no_worse = [of_zeros < errors * _CLEAR_RATIO for errors in with_old]
+    return bool(np.all([of_zeros < nominal / _CLEAR_RATIO, *no_worse]))
 
 
 def _errors_held_out(values: Mapping[str, float], request: Request) -> Array:

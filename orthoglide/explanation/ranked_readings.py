@@ -97,15 +97,15 @@ def _evidence_limit(posterior: FullPosterior, alternative: Fault) -> float:
     """Return a log evidence that corrected readings seldom exceed: that of a model without causes
     and background.
 
-    Its chi2 is the smaller of two: the expected one less a standard deviation, and that of the best
-    explanation of the readings as they stand.
+    Its chi2 is the smaller of two: the expected one less three standard deviations, as the noise is
+    an estimate too, and that of the best explanation of the readings as they stand.
     """
     mixture, model = posterior.mixture, posterior.linearised
     remaining = mixture.chi2_with_remainder + model.unexplainable_chi2
     _, lost = corrected_readings(model.problem, alternative)
     count = np.sum(model.problem.weighted) - len(lost)
     dof = max(float(count - model.nuisance.unconstrained_count), 0.0)
-    chi2 = min(dof - np.sqrt(2 * dof), remaining) - model.unexplainable_chi2
+    chi2 = min(max(dof - 3 * np.sqrt(2 * dof), 0.0), remaining) - model.unexplainable_chi2
     log_weight = max(scale.basis.largest_log_z for scale in mixture.scales) - chi2 / 2
     return float(posterior.evidence + log_weight - mixture.log_weight(mixture.best))
 

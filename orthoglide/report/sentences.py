@@ -150,7 +150,8 @@ def _fit_evidence(result: Result) -> str:
     base, improvement = base_effects(result), improvement_words(result.start, result.after.scores)
     several = len(result.effects) + len(result.located) > 1
     findings = "these findings" if several else "this finding"
-    condition = f"With {findings} in the model" if result.found else f"With the {base} corrected"
+    added = result.found and result.searches  # what `identify` finds is among the base effects
+    condition = f"With {findings} in the model" if added else f"With the {base} corrected"
     if result.word == "unexplained":
         return f"{condition}, {improvement}."
     if result.word == "partial":
@@ -162,7 +163,7 @@ def _fit_evidence(result: Result) -> str:
         if not result.found:
             improvement = improvement_words(result.nominal, result.before.scores)
         return f"{condition}, {improvement}. Too few readings are left over to judge that."
-    contents = [findings if result.found else f"the corrected {base}"]
+    contents = [findings if added else f"the corrected {base}"]
     if result.improved and not result.found:
         contents.append("small errors of everything else")
     if result.shapes_of_plate:
