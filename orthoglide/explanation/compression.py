@@ -190,15 +190,12 @@ def compress_readings(
             gram_of_block = station_sums.T @ station_sums
         station_gram += gram_of_block
         station_chi2 += float(np.sum(weighing.station_components(whitened[:, -1]) ** 2))
-    length = np.sqrt(np.diag(gram)[:-1])
-    length = np.where(length > 0, length, 1.0)
-    scaled = gram[:-1, :-1] / length / length[:, None]
-    if not np.isfinite(scaled).all():  # of which the factorisation would drop columns
-        raise NumericsError("the readings' derivatives are not finite: check the machine's sizes")
-    factor, order, rank, _ = dpstrf(scaled, tol=_ROUNDING, lower=1, overwrite_a=1)
-    order -= 1
-    columns, kept, root = np.empty((rank, len(order))), order[:rank], factor[:rank, :rank]
-    columns[:, order] = np.tril(factor[:, :rank]).T
+    squares = np.diag(gram)[:-1]
+    length = np.sqrt(np.where(squares == 0, 1.0, squares))
+    factor, order = _pivoted_cholesky(gram[:-1, :-1] / length / length[:, None])
+    rank = factor.shape[1]
+    columns, kept, root = np.empty((rank, len(order))), order[:rank], factor[:rank]
+    columns[:, order] = factor.T
     columns *= length
 
     def in_directions(products: Array) -> Array:
@@ -209,12 +206,24 @@ def compress_readings(
     stations = nuisance.weighing.first_rows
     remainder = max(station_chi2 - float(compressed_residual @ compressed_residual), 0.0)
     dof = max(len(stations) - nuisance.unconstrained_count - rank, 0)
-    visits = len(residual) / len(stations)
     square = in_directions(in_directions(station_gram[np.ix_(kept, kept)]).T)
     values, vectors = np.linalg.eigh((square + square.T) / 2)
     station_root = np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
-    remaining = StationRemainder(remainder, float(dof), visits)
+    remaining = StationRemainder(remainder, float(dof), len(residual) / len(stations))
     return columns, compressed_residual, station_root, remaining
+
+
+def _pivoted_cholesky(gram: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Return the lower factor ``(C, r)`` of a Gram matrix ``(C, C)`` of unit columns, and the order
+    of the columns ``(C,)``, of which the first r are independent.
+
+    Raises:
+        NumericsError: if a column is not finite, which the factorisation would drop.
+    """
+    if not np.isfinite(gram).all():
+        raise NumericsError("the readings' derivatives are not finite: check the machine's sizes")
+    factor, order, rank, _ = dpstrf(gram, tol=_ROUNDING, lower=1, overwrite_a=1)
+    return np.tril(factor[:, :rank]), order - 1
 
 
 def _station_blocks(weighing: Weighing) -> Iterator[tuple[NDArray[np.int64], Weighing]]:
