@@ -363,6 +363,6 @@ def test_small_errors_of_every_part_are_found_by_the_verdict_that_says_so_alone(
     text = finding_text(replace(found, before=replace(found.before, scores=scores), possible=()))
     assert ("every part is off by about" in text) == (word == "diffuse")
     chance = "noise alone leaves as much with probability 0.004"
-    unusual = f"; their residual is larger than usual ({chance})."
+    unusual = f"; the residual is larger than usual ({chance})."
     nothing = "wrong that these readings could show beyond the joint offsets and leg lengths"
     assert (f"{nothing}{unusual}" in text) == (word == "adequate")

@@ -97,7 +97,7 @@ def test_a_fitted_part_far_beyond_its_tolerance_is_a_finding(machine: og.Machine
     uncertain = replace(outcome.after, covariance=4e-7 * np.eye(len(outcome.after.names)))
     assert not fitted_beyond_tolerance(uncertain)
     (note,) = (note for note in notes(uncertain) if note.startswith("leg length"))
-    assert "of 0.1 mm (± 0.63 mm, so it may be within three times it)" in note
+    assert "of 0.1 mm (± 0.63 mm, so it may be within three times the tolerance)" in note
 
 
 @pytest.mark.parametrize("as_points", [True, False])

@@ -136,9 +136,8 @@ def _possible_causes(outcome: RunOutcome) -> Iterator[Possible]:
     """Yield the most probable causes if nothing was found, each with the scores of its own fit."""
     problem = outcome.before.problem
     for cause in outcome.possible:
-        is_curve = isinstance(cause, Curve)
         names = () if isinstance(cause, Curve) else tuple(map(str, cause.parameters))
-        added = _with_curve(outcome, cause.name) if is_curve else with_free(problem, names)
+        added = with_free(problem, names) if names else _with_curve(outcome, cause.name)
         try:
             fit = solve(added, method="nested", widen=False)
         except NumericsError:

@@ -116,8 +116,8 @@ def _copied_point_lines(table: Readings) -> tuple[int, ...]:
 
 
 def tolerance_notes(estimate: Estimate, *, uncertain: bool = False) -> Iterator[Note]:
-    """Yield notes on parameters that certainly exceed three tolerances, or on all that exceed them
-    if those that do so by chance are wanted too.
+    """Yield notes on the parameters that certainly exceed three tolerances; with ``uncertain`` also
+    on those whose estimate exceeds them, but by less than its uncertainty.
     """
     problem, catalogue = estimate.problem, estimate.problem.machine.catalogue
     sd = np.sqrt(np.diag(estimate.covariance))
@@ -125,9 +125,8 @@ def tolerance_notes(estimate: Estimate, *, uncertain: bool = False) -> Iterator[
     for k in np.flatnonzero(problem.is_implausible(estimate.x) if uncertain else certain).tolist():
         unknown, value = problem.unknowns[k], float(estimate.x[k])
         unit, effect = estimate.unit(unknown.name), catalogue.effect_of(unknown.name)
-        doubt = (
-            f"(± {compact(sd[k] / unit.si, 2)}{unit.behind}, so it may be within three times it)"
-        )
+        sigma = f"{compact(sd[k] / unit.si, 2)}{unit.behind}"
+        doubt = f"(± {sigma}, so it may be within three times the tolerance)"
         yield Note(
             f"{difference_words(catalogue, unknown.name)} is {signed_size(effect, value)}, "
             f"{abs(value) / unknown.tolerance:.1f} times its tolerance of "

@@ -113,7 +113,7 @@ def finding_text(result: Result) -> str:
     text = f"{first}Nothing{more} is wrong that these readings could show beyond the {base}"
     if (p := result.before.scores.lack_of_fit_p) < _BASE_FITS_P:  # unusual, but not significant
         unusual = f"noise alone leaves as much with probability {probability(p)}"
-        text += f"; their residual is larger than usual ({unusual})"
+        text += f"; the residual is larger than usual ({unusual})"
     return f"{text}."
 
 
