@@ -281,16 +281,38 @@ def identity_group(
 
 
 def drop_unseen_directions(linear: LinearModel) -> LinearModel:
-    """Return the model in the directions of the readings that the coefficients move."""
+    """Return the model in the directions of the readings that the coefficients move, and those of
+    station errors. If these are independent of the first and have one variance, as where no station
+    was visited twice, their sum of squares is kept as `StationRemainder` instead.
+    """
     rows = np.column_stack([linear.columns, linear.stations, linear.residual])
     if len(rows) > rows.shape[1]:
         rows = np.asarray(np.linalg.qr(rows, mode="r"))
-    values, vectors = np.linalg.eigh(rows[:, :-1] @ rows[:, :-1].T)
-    rows = vectors[:, values > _LEAST_DIRECTION**2].T @ rows
-    count = linear.columns.shape[1]
+    count, remainder = linear.columns.shape[1], linear.station_remainder
+    values, vectors = np.linalg.eigh(rows[:, :count] @ rows[:, :count].T)
+    is_moved = values > _LEAST_DIRECTION**2
+    moved, others = vectors[:, is_moved].T @ rows, vectors[:, ~is_moved].T @ rows[:, count:]
+    errors, residual = others[:, :-1], others[:, -1]
+    covariance = errors @ errors.T
+    variance = float(np.sum(covariance**2) / max(np.trace(covariance), _LEAST_DIRECTION**2))
+    is_uniform = _is_zero(covariance @ covariance - variance * covariance)
+    if is_uniform and _is_zero(moved[:, count:-1] @ errors.T):
+        rows = moved
+        if dof := round(np.trace(covariance) / max(variance, _LEAST_DIRECTION**2)):
+            chi2 = float(residual @ covariance @ residual) / variance
+            remainder = StationRemainder(chi2, float(dof), variance)
+    else:
+        values, vectors = np.linalg.eigh(rows[:, :-1] @ rows[:, :-1].T)
+        rows = vectors[:, values > _LEAST_DIRECTION**2].T @ rows
     return replace(
-        linear, columns=rows[:, :count], stations=rows[:, count:-1], residual=rows[:, -1]
-    )
+        linear, columns=rows[:, :count], stations=rows[:, count:-1], residual=rows[:, -1],
+        station_remainder=remainder,
+    )  # fmt: skip
+
+
+def _is_zero(covariance: Array) -> bool:
+    """Return whether a covariance is less than that of a direction that is left out."""
+    return bool(np.abs(covariance).max(initial=0.0) < _LEAST_DIRECTION**2)
 
 
 def marginal_covariances(

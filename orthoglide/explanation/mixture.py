@@ -239,7 +239,8 @@ class Mixture(Search):
     @property
     def chi2_per_dof(self) -> float:
         """Chi2 per degree of freedom of the best state, its priors counted."""
-        return self._chi2_of_best / max(len(self.linear.residual), 1)
+        dof = len(self.linear.residual) + self.linear.station_remainder.dof
+        return self.chi2_with_remainder / max(dof, 1)
 
     @property
     def chi2_with_remainder(self) -> float:
