@@ -22,6 +22,7 @@ Columns of the linear model
 
 Search and posterior
     linear_model          the linear model and the grid of background and noise scales
+    gains                 what groups of columns explain of a residual
     pairs                 the likeliest pairs of causes
     search                states of active groups by their evidence
     mixture               means, covariances and probabilities over the states

@@ -17,8 +17,8 @@ from scipy.linalg import solve_triangular
 
 from orthoglide.explanation.compression import COMPRESSION_THRESHOLD, MergedRows
 from orthoglide.explanation.fault_columns import FaultColumns, FaultFamily
+from orthoglide.explanation.gains import explained_by_group
 from orthoglide.explanation.linear_model import SLAB_SCALES, LinearModel
-from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Problem
 from orthoglide.fit.least_squares import Nuisances
 from orthoglide.geometry import Array

@@ -22,15 +22,18 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from orthoglide.explanation.gains import explained_by_group
 from orthoglide.explanation.linear_model import (
     EXPECTED_CAUSES,
+    NEGLIGIBLE_LOG_WEIGHT,
+    Basis,
     LinearModel,
     Scale,
     left_singular,
     scale_grid,
 )
 from orthoglide.explanation.pairs import NEGLIGIBLE_LOG_ODDS, PartialProducts, likely_pairs
-from orthoglide.fit.least_squares import explained_by_two, rounding
+from orthoglide.fit.least_squares import rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
 
@@ -161,9 +164,7 @@ class Search:
             return []
         singles, states = self._single_groups, list[State]()
         partial = self._partial_products(state, self._first_column[singles])
-        if state not in self.visited:
-            self.visited[state] = self._log_weights(state, partial)
-        weights = self.visited[state]
+        weights = self._weights_by_scale(state, partial)
         # Scales at which even a pair that explained all of the remaining chi2 would be negligible
         # beside the best state are skipped.
         limits = weights + (self._chi2 - partial.explained) / 2
@@ -206,13 +207,24 @@ class Search:
 
     def _expand(self, state: State) -> Array:
         partial = self._partial_products(state)
-        if state not in self.visited:
-            self.visited[state] = self._log_weights(state, partial)
-        explained, occam = self._gains(partial)
+        weights = self._weights_by_scale(state, partial)
+        # Odds on a sound machine need all scales, as a given group does, however unlikely.
+        is_complete = not state or bool(self._given_groups)
+        explained, occam = self._gains(partial, None if is_complete else weights)
         table = explained / 2 - occam
-        table += self.visited[state][:, None, None] - self.cost[:, None]
+        table += weights[:, None, None] - self.cost[:, None]
         table[:, [k for k, _ in state]] = -np.inf
         return table
+
+    def _weights_by_scale(self, state: State, partial: PartialProducts) -> Array:
+        """Return the log weights of a state ``(scales,)``, which from now on has been visited, and
+        at all scales, as groups added to it may have weight at any of them.
+        """
+        weights = self.visited.get(state)
+        if weights is None or not np.isfinite(weights).all():
+            found = self._log_weights(state, partial)
+            self.visited[state] = found if weights is None else np.maximum(weights, found)
+        return self.visited[state]
 
     def _log_weights(self, state: State, partial: PartialProducts) -> Array:
         """Return the log weights of a state ``(scales,)``."""
@@ -220,24 +232,37 @@ class Search:
         gain = (partial.explained - partial.log_det) / 2
         return np.array([s.log_z for s in self.scales]) + gain - prior_cost
 
-    def _gains(self, partial: PartialProducts) -> tuple[Array, Array]:
+    def _gains(self, partial: PartialProducts, weights: Array | None = None) -> tuple[Array, Array]:
         """Return what each group explains of chi2 beside the active ones, and its Occam factor.
 
-        Both ``(scales, groups, taus)``; the second is half the log determinant.
+        Both ``(scales, groups, taus)``; the second is half the log determinant. If the log weights
+        without the groups ``(scales,)`` are given, groups of more than two coefficients explain
+        minus infinity where their weight is lost in rounding beside that of another.
         """
         taus = self.linear.slab_scales
         explained, occam = np.zeros((2, len(self.scales), len(self.linear.groups), len(taus)))
         components, products, *_ = partial
-        chi2 = self._chi2[:, None]
-        for size, members in self._by_size.items():
+        best = -np.inf
+        for size, members in sorted(self._by_size.items()):
             index = np.array([self._columns_of_group[g] for g in members])
-            parts = components[:, :, index].transpose(0, 2, 3, 1)
-            gram = self._gram_matrices(size, index)
+            gram, scales = self._gram_matrices(size, index), np.arange(len(self.scales))
+            least = -np.inf * np.ones((len(scales), len(members)))
+            if weights is not None:
+                least = 2 * (best - NEGLIGIBLE_LOG_WEIGHT - weights[:, None] + self.cost[members])
+                explained[:, members] = -np.inf
+                scales = np.flatnonzero(least.min(axis=1) < self._chi2 - partial.explained)
+            parts = components[scales[:, None, None], :, index].transpose(0, 1, 3, 2)
             # If active groups have an equal signature, rounding may make the difference negative.
-            remaining = gram - parts @ parts.transpose(0, 1, 3, 2)
-            remaining += rounding(gram)
-            gains = explained_by_group(remaining, products[:, index], chi2, taus)
-            explained[:, members], occam[:, members] = gains
+            remaining = gram[scales] - parts.transpose(0, 1, 3, 2) @ parts + rounding(gram[scales])
+            gains = explained_by_group(
+                remaining, products[scales[:, None, None], index], self._chi2[scales, None], taus,
+                least[scales],
+            )  # fmt: skip
+            at = scales[:, None], np.array(members)
+            explained[at], occam[at] = gains
+            if weights is not None:
+                added = gains[0] / 2 - gains[1] - self.cost[members][:, None]
+                best = max(best, float((weights[scales, None, None] + added).max(initial=-np.inf)))
         return explained, occam
 
     @cached_property
@@ -308,15 +333,30 @@ class Search:
 
     def _products_with_groups(self, rows: Array) -> Array:
         """Return inner products of rows ``(scales, q, m)`` and all columns ``(scales, q, K)``."""
-        pairs = zip(self.scales, rows, strict=True)
-        return np.stack([(of_scale * s.weight) @ s.basis.group_columns for s, of_scale in pairs])
+        products = np.empty((*rows.shape[:2], self._column_count))
+        for basis, scales, weights in self._scales_by_basis:
+            weighted = (rows[scales] * weights[:, None]).reshape(-1, rows.shape[2])
+            found = weighted @ basis.group_columns
+            products[scales] = found.reshape(len(scales), -1, self._column_count)
+        return products
+
+    @cached_property
+    def _scales_by_basis(self) -> list[tuple[Basis, NDArray[np.intp], Array]]:
+        """Each basis with the indices of its scales, and their weights ``(scales, m)``."""
+        indices: dict[Basis, list[int]] = {}
+        for k, scale in enumerate(self.scales):
+            indices.setdefault(scale.basis, []).append(k)
+        return [(basis, np.array(own), np.stack([self.scales[k].weight for k in own]))
+                for basis, own in indices.items()]  # fmt: skip
 
     def _gram_matrices(self, size: int, index: NDArray[np.intp]) -> Array:
         """Return Gram matrices of all groups of a size ``(scales, groups, size, size)``."""
         if size not in self._products:
-            blocks = (s.some_group_columns(index.ravel()).T for s in self.scales)
-            rows = (block.reshape(*index.shape, -1) for block in blocks)
-            self._products[size] = np.stack([b @ b.transpose(0, 2, 1) for b in rows])
+            found = self._products[size] = np.empty((len(self.scales), len(index), size, size))
+            for basis, scales, weights in self._scales_by_basis:
+                columns = basis.group_columns[:, index]
+                outer = (columns[..., None] * columns[:, :, None]).reshape(len(columns), -1)
+                found[scales] = (weights**2 @ outer).reshape(len(scales), *found.shape[1:])
         return self._products[size]
 
     def _active_directions(self, scale: Scale, state: State) -> tuple[Array, Array]:
@@ -329,43 +369,3 @@ class Search:
             return columns, taus
         left, singular = left_singular(columns)
         return left, 1 - 1 / np.sqrt(1 + singular**2)
-
-
-def explained_by_group(
-    gram: Array, products: Array, chi2_bound: Array, taus: Sequence[float]
-) -> tuple[Array, Array]:
-    """Return what each group explains of chi2, and half the log determinant, both ``(..., taus)``.
-
-    With noise as declared, half the first less the second is the log Bayes factor of the group.
-
-    Args:
-        gram: Gram matrices of the groups' columns ``(..., k, k)``.
-        products: inner products of these columns and the residual ``(..., k)``.
-        chi2_bound: upper bound of the squared residual, broadcast to ``(...)``.
-        taus: scales of the slab.
-    """
-    count, tau, along = products.shape[-1], np.array(taus), products[..., None] * np.array(taus)
-    squares = gram.diagonal(axis1=-2, axis2=-1)[..., None] * tau**2
-    if count == 1:
-        variance = 1 + squares[..., 0, :]
-        return np.asarray(along[..., 0, :] ** 2 / variance), np.asarray(np.log(variance) / 2)
-    if count == 2:
-        (first, second), (x, y) = (np.moveaxis(of_both, -2, 0) for of_both in (1 + squares, along))
-        cross = gram[..., 0, 1, None] * tau**2
-        explained, determinant = explained_by_two(first, second, cross, x, y)
-        return explained, np.asarray(np.log(determinant) / 2)
-    bordered = np.zeros((*products.shape[:-1], count + 1, count + 1))
-    bordered[..., :count, :count] = gram
-    bordered[..., count, :count] = products
-    # The last pivot of the bordered matrix is the corner less what the group explains. The corner
-    # exceeds that by far, so that rounding cannot make the pivot negative.
-    corner = 2.0 * chi2_bound + 1.0
-    bordered[..., count, count] = corner
-    explained, occam = np.zeros((2, *products.shape[:-1], len(tau)))
-    diagonal, places = bordered.diagonal(axis1=-2, axis2=-1)[..., :count].copy(), range(count)
-    for t, scale in enumerate(taus):
-        bordered[..., places, places] = diagonal + scale**-2
-        root = np.linalg.cholesky(bordered).diagonal(axis1=-2, axis2=-1)
-        explained[..., t] = corner - root[..., count] ** 2
-        occam[..., t] = np.log(scale * root[..., :count]).sum(axis=-1)
-    return explained, occam
