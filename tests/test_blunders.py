@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.fit import Estimate, solve
 from orthoglide.machine import Machine
 from orthoglide.machine_file import Controller
-from orthoglide.observations import read_campaign
+from orthoglide.observations import Campaign, read_campaign
 from orthoglide.progress import Step
 from orthoglide.report.folder import residual_table
 from orthoglide.result import DataFault, DataRival
@@ -358,6 +359,45 @@ def test_a_misreading_that_no_explanation_makes_likely_enough_is_not_searched(ma
     found = found_in(rc.swapped_sign(knocked, "zx-0.5").rows, machine)
     assert {fault.kind for fault in found} == {"knocked_stand", "sign"}
     assert len(searched) == 1
+
+
+def test_readings_with_a_misreading_corrected_are_searched_once(machine, monkeypatch):
+    """They were searched as the misreading's alternative, and again in the next round."""
+    searched, search = [], ranked_readings.posterior_at_base_fit
+    for module in (ranked_readings, import_module("orthoglide.explanation.full_posterior")):
+        monkeypatch.setattr(
+            module, "posterior_at_base_fit", lambda fit: searched.append(fit) or search(fit)
+        )
+    (found,) = found_in(rc.wrong_unit(rows_of("standard", seed=2), "yz-0.5").rows, machine)
+    assert found.kind == "unit"
+    keys = [(fit.x.tobytes(), fit.problem.measured.tobytes()) for fit in searched]
+    assert len(keys) == len(set(keys)) == 2
+
+
+@pytest.mark.thorough
+def test_a_label_that_explains_no_change_of_other_setups_is_not_searched(machine, monkeypatch):
+    """Three labels were searched in full, to be behind by 56 log units, as other dials show what
+    changed too.
+    """
+    ranked, rank = [], ranked_readings._rank
+
+    def recorded(*given: Any) -> list[tuple[float, Fault]]:
+        ranked.append((given[-1], found := rank(*given)))  # after what the odds must exceed
+        return found
+
+    monkeypatch.setattr(ranked_readings, "_rank", recorded)
+    errors = {"joint_offset.x": 8e-4, "axis_tilt.x.y": 2e-3}
+    changed = {"joint_offset.x": 1.1e-3, "axis_tilt.x.y": 5e-4, "axis_tilt.z.x": 1e-3}
+    plan, visits = rc.protocol_rows("sweep"), list[Campaign]()
+    for k, there in enumerate((errors, changed)):
+        rng = np.random.default_rng(4 + k)
+        rows = rc.simulate(Rig().with_errors(there), plan, rng, noise=5e-6, background=0.02)
+        visits.append(replace(campaign_of(rows, machine), name=f"visit-{k}"))
+    findings = find_data_faults(identify(visits, machine, method="nested"))
+    assert {"joint_offset.x", "axis_tilt.x.y"} <= {str(c.parameter) for c in findings.changes}
+    assert not findings.faults
+    (without_changes,) = (found for least, found in ranked if least > 0)
+    assert without_changes == []
 
 
 def test_readings_too_many_to_be_compared_with_misreadings_are_noted(machine, monkeypatch):

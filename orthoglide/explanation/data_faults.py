@@ -48,7 +48,7 @@ from orthoglide.explanation.full_posterior import (
     posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
-from orthoglide.explanation.ranked_readings import likeliest_misreading
+from orthoglide.explanation.ranked_readings import Misreading, likeliest_misreading
 from orthoglide.fit import Estimate, Problem
 from orthoglide.fit.estimate import row_indices
 from orthoglide.fit.noise import rms_by_unit
@@ -96,6 +96,7 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
     problem = estimate.problem
     faults_found = find_scattered_setups(problem)
     contradictions, unsettled = list[Note](), tuple[Note, ...]()
+    misreading = Misreading(-np.inf)
     for _ in range(_ROUNDS):
         progress(Step("faults", f"beside {len(faults_found)} found" if faults_found else ""))
         corrected = _correct_faults(problem, faults_found)
@@ -103,21 +104,21 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
         changes, cost = likeliest_changes(fit)
         base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
-        first = posterior_with_corrected_commands(base)
+        first = posterior_with_corrected_commands(base, misreading.posterior)
         states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
-        if changes and misreading is None:  # which may explain the readings without changes
+        if changes and misreading.fault is None:  # which may explain the readings without changes
             evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
             misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
         converged = None
-        if misreading is None and found.ambiguous and not found.certain:
+        if misreading.fault is None and found.ambiguous and not found.certain:
             # An alternative in the machine may fit only in the linearisation at the base fit. If it
             # is gone where the posterior has converged, data faults alone explain the readings.
             converged = full_posterior(base, fault_keys=found.ambiguous)
             found = found._replace(certain=credible_faults(converged).certain)
-        faults = found.certain if misreading is None else [misreading]
+        faults = found.certain if misreading.fault is None else [misreading.fault]
         if contradictions:
             faults = _without_slips(faults)
         if not faults:
@@ -229,9 +230,9 @@ def _with_tolerance_priors(problem: Problem) -> Problem:
 
 def _find_misreading(
     states: Sequence[FittedState], faults: Sequence[Fault], other_evidence: float = -np.inf
-) -> Fault | None:
+) -> Misreading:
     """Return the misreading, among setups without a known one, that explains the readings clearly
-    better than they stand; ``None`` if there is none.
+    better than they stand, if there is one.
 
     Args:
         states: the readings with each assumption of their noise. Smaller noise may belong to
@@ -240,7 +241,7 @@ def _find_misreading(
         other_evidence: log evidence of another explanation of the readings.
     """
     other_evidence = max([other_evidence, *(posterior.evidence for _, posterior in states)])
-    found = list[tuple[float, Fault | None]]()
+    found = list[Misreading]()
     for base, posterior in states:
         rows = setups_to_reinterpret(base.problem, faults)
         # Generated only if so many readings are ranked.
@@ -252,7 +253,7 @@ def _find_misreading(
             rows = setups_to_reinterpret(base.problem, faults, every)
             alternatives = chain(alternatives, noisy_setups(rows))
         found.append(likeliest_misreading(base, posterior, alternatives, rows, other_evidence))
-    return best_of(found, lambda one: one[0], LOG_ODDS_MARGIN)[1]
+    return best_of(found, lambda one: one.evidence, LOG_ODDS_MARGIN)
 
 
 def _merge_faults(problem: Problem, faults: Sequence[Fault], new: Sequence[Fault]) -> list[Fault]:

@@ -68,6 +68,11 @@ class FullPosterior:
     # alternative fit with the base far beyond its tolerances, which the readings do not rule out
     alternative: Estimate | None = None
 
+    def of_equal_fit(self, fit: Estimate) -> FullPosterior | None:
+        """Return the posterior of a fit that is equal, as readings and noise are, else ``None``."""
+        own, other = ((f.problem.measured, f.problem.sigma, f.x) for f in (self.before, fit))
+        return replace(self, before=fit) if all(map(np.array_equal, own, other)) else None
+
     @cached_property
     def alternatives(self) -> Alternatives:
         """Alternatives to the active groups of the best explanation."""
@@ -271,14 +276,17 @@ def posterior_at_base_fit(before: Estimate) -> FullPosterior:
     return best_of((posterior, *others), lambda p: -p.linearised.linearisation_error)
 
 
-def posterior_with_corrected_commands(before: Estimate) -> FullPosterior:
+def posterior_with_corrected_commands(
+    before: Estimate, known: FullPosterior | None = None
+) -> FullPosterior:
     """Return the posterior linearised at the base fit, with wrong commands corrected.
 
-    The base is fitted again after each correction, until the corrections are stationary.
+    The base is fitted again after each correction, until the corrections are stationary. What is
+    ``known`` at a base fit is not computed again if it is of equal readings.
     """
     corrected = dict[str, Fault]()
     with closure_explained(before):
-        posterior = posterior_at_base_fit(before)
+        posterior = (known and known.of_equal_fit(before)) or posterior_at_base_fit(before)
         for _ in range(_LINEARISATIONS):
             wrong = posterior.wrong_commands(before.problem)
             if wrong.keys() == corrected.keys() and all(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -26,6 +27,7 @@ from orthoglide.explanation.credible_faults import EVEN_PROBABILITY
 from orthoglide.explanation.faults import Fault, Rows, factors_and_rows, setups_of, weighted_rows
 from orthoglide.explanation.full_likelihood import (
     WIDEST_DATUM,
+    Deletion,
     FullLikelihood,
     Prediction,
     Scales,
@@ -49,6 +51,14 @@ BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1
 all its tolerances, and one with free-form errors everywhere."""
 
 
+class Misreading(NamedTuple):
+    """The likeliest misreading, or that there is none."""
+
+    evidence: float  # log evidence of the readings with the misreading, or as they stand
+    fault: Fault | None = None
+    posterior: FullPosterior | None = None  # of the readings with the misreading corrected
+
+
 def likeliest_misreading(
     base: Estimate,
     posterior: FullPosterior,
@@ -56,9 +66,9 @@ def likeliest_misreading(
     rows_by_setup: RowsBySetup,
     other_evidence: float = -np.inf,
     background_scales: Sequence[Scales] = BACKGROUND_SCALES,
-) -> tuple[float, Fault | None]:
+) -> Misreading:
     """Return the misreading, or the noisy setup, whose evidence exceeds that of the readings as
-    they stand by `TWENTY_TO_ONE`, after its log evidence; ``None`` after theirs if there is none.
+    they stand by `TWENTY_TO_ONE`.
 
     Args:
         base: fit to the readings as they stand.
@@ -69,9 +79,8 @@ def likeliest_misreading(
         background_scales: under which alternatives are ranked; the first also beside the groups
             that are active in the readings as they stand.
     """
-    best: tuple[float, Fault | None]
     # By a clear margin, as the prior probability of a misreading is a guess.
-    best = max(posterior.evidence, other_evidence) + TWENTY_TO_ONE, None
+    best = Misreading(max(posterior.evidence, other_evidence) + TWENTY_TO_ONE)
     least = max(other_evidence - posterior.evidence, 0.0)
     for log_odds, alternative in _rank(
         posterior, alternatives, rows_by_setup, background_scales, least
@@ -80,7 +89,8 @@ def likeliest_misreading(
         # readings as they stand. So alternatives that are far behind are not searched, nor those
         # that would not win even if the corrected readings fitted as well as noise allows.
         likely = posterior.evidence + log_odds + TWENTY_TO_ONE
-        if min(likely, _evidence_limit(posterior, alternative) + alternative.log_odds) < best[0]:
+        limit = _evidence_limit(posterior, alternative) + alternative.log_odds
+        if min(likely, limit) < best.evidence:
             continue
         try:
             corrected = with_faults_corrected(base.problem, [alternative])
@@ -88,8 +98,8 @@ def likeliest_misreading(
         except NumericsError:
             continue
         if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
-            candidate = other.evidence + alternative.log_odds, alternative
-            best = best_of((best, candidate), lambda one: one[0], LOG_ODDS_MARGIN)
+            found = Misreading(other.evidence + alternative.log_odds, alternative, other)
+            best = best_of((best, found), lambda one: one.evidence, LOG_ODDS_MARGIN)
     return best
 
 
@@ -160,9 +170,9 @@ def check_levels(estimate: Estimate) -> None:
         return
     readings, posterior = level_readings(problem), posterior_at_base_fit(estimate)
     rows_by_setup = {s: weighted_rows(problem, s) for s in setups}
-    _, found = likeliest_misreading(
+    found = likeliest_misreading(
         estimate, posterior, [*readings.values()], rows_by_setup, background_scales=_LEVEL_SCALES
-    )
+    ).fault
     if found is not None:
         files = [source(f.readings) for f in problem.factors for _ in f.readings.setups]
         names = "; ".join(f"{files[s]}, setup {problem.setups[s].name!r}" for s in setups)
@@ -184,7 +194,7 @@ def _rank(
     model, problem = posterior.linearised, posterior.linearised.problem
     if len(problem.measured) > MOST_RANKED_READINGS or not (alternatives := [*alternatives]):
         return []
-    likelihoods, costs = _backgrounds(posterior, background_scales)
+    likelihoods, costs = _backgrounds(posterior, background_scales, best_last=least > 0)
     deletions = [{s: w.deletion(rows) for s, rows in rows_by_setup.items()} for w in likelihoods]
     dials = {s: rows for s, rows in rows_by_setup.items() if s in problem.leg_setups}
     alternatives = [*alternatives, *turn_alternatives(problem, likelihoods, deletions, dials)]
@@ -211,25 +221,42 @@ def _rank(
         pairs = zip(selections, totals, strict=True)
         return [priors + np.logaddexp.reduce(logs[part], axis=0) - total for part, total in pairs]
 
-    def relabelling_limit(setup: int) -> float:
-        """Return the gain that other labels of a setup seldom exceed, by the better selection."""
-        limits = as_read + [d[setup].relabelling_limit for d in deletions]
-        pairs = zip(selections, totals, strict=True)
-        return max(float(limits[part].max() - total) for part, total in pairs)
-
     # Other labels take most time, and are left out where three others exceed their usual gain.
     enough = min(odds[descending(odds)[:_PER_SELECTION]][-1] for odds in all_log_odds())
     predictions = dict[bytes, list[Prediction]]()  # of the machine, by the rows it is without
     for k in relabelled:
         fault = alternatives[k]
-        limit = fault.log_odds + sum(map(relabelling_limit, setups_of(problem, fault)))
-        if limit > max(least, enough):
+        gain, over_best = _relabelling_limits(problem, as_read, deletions, selections, fault)
+        if gain > max(least, enough) and not (least > 0 and over_best < least):
             logs[:, k] = _relabelled(model, likelihoods, predictions, fault) - costs
     ranked_odds = dict[int, float]()
     for odds in all_log_odds():
         for k in descending(odds, LOG_ODDS_MARGIN)[:_PER_SELECTION]:
             ranked_odds[k] = max(float(odds[k]), ranked_odds.get(k, -np.inf))
     return [(odds, alternatives[k]) for k, odds in ranked_odds.items() if odds > least]
+
+
+def _relabelling_limits(
+    problem: Problem,
+    as_read: Array,
+    deletions: Sequence[Mapping[int, Deletion]],
+    selections: Sequence[slice],
+    fault: Fault,
+) -> tuple[float, float]:
+    """Return the log odds that other labels of setups seldom exceed, by the better selection of
+    backgrounds; and against the best explanation, which comes last.
+
+    The chi2 of that explanation is a sample, so three of its standard deviations, halved as in a
+    log likelihood, are added to the odds against it.
+    """
+    by_selection = fault.log_odds
+    over_best = fault.log_odds + 1.5 * float(np.sqrt(2 * np.sum(problem.weighted)))
+    for setup in setups_of(problem, fault):
+        limits = as_read + [d[setup].relabelling_limit for d in deletions]
+        gains = [limits[part].max() - np.logaddexp.reduce(as_read[part]) for part in selections]
+        by_selection += float(max(gains))
+        over_best += float(limits.max() - as_read[-1])
+    return by_selection, over_best
 
 
 def _log_likelihoods(
@@ -249,12 +276,13 @@ def _log_likelihoods(
 
 
 def _backgrounds(
-    posterior: FullPosterior, background_scales: Sequence[Scales]
+    posterior: FullPosterior, background_scales: Sequence[Scales], best_last: bool
 ) -> tuple[list[FullLikelihood], Array]:
     """Return likelihoods under several backgrounds, and the log odds against each ``(b,)``.
 
     A misreading may come beside groups that are active in the readings as they stand, or in place
-    of them: beside none, one, all but one, or all.
+    of them: beside none, one, all but one, or all. The best explanation, at its scales, comes last
+    if that is asked.
     """
     readings, mixture = WhitenedRows.of(posterior.linearised), posterior.mixture
     likelihoods, costs = list[FullLikelihood](), list[float]()
@@ -265,6 +293,10 @@ def _backgrounds(
             for scales in background_scales[: 1 if state else None]:
                 likelihoods.append(readings.likelihood(scales, root))
                 costs.append(float(cost))
+    for state, scale in mixture.likely_explanations[: int(best_last)]:
+        scales = scale.background_scale, scale.free_form_scale
+        likelihoods.append(readings.likelihood(scales, mixture.slab_root(state)))
+        costs.append(float(sum(mixture.cost[group] for group, _ in state)))
     return likelihoods, np.array(costs)
 
 
