@@ -203,25 +203,22 @@ def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
     return tuple((tables[k].name, source(tables[k]), k) for k in starts)
 
 
-def likeliest_changes(estimate: Estimate) -> tuple[list[Change], float]:
-    """Return the most probable changes, the most decisive first, and the prior log odds against
-    them.
-    """
+def likeliest_changes(estimate: Estimate) -> list[Change]:
+    """Return the most probable changes, the most decisive first."""
     problem = estimate.problem
     visit_starts = visits(problem)
     if len(visit_starts) < 2:
-        return [], 0.0
+        return []
     full_problem = _with_all_effects(problem)
     try:
         start = full_problem.zero_padded(estimate.x)
         possible = _changes_between_visits(full_problem, visit_starts)
         changes = most_probable_changes(full_problem, start, possible)
     except NumericsError:
-        return [], 0.0
+        return []
     pairs = pairwise(visit_starts)
     files = {name: (before, after) for (_, before, _), (name, after, _) in pairs}
-    found = [replace(change, files=files[change.since]) for change in changes]
-    return found, sum(change.log_odds_against for change in found)
+    return [replace(change, files=files[change.since]) for change in changes]
 
 
 def _with_all_effects(problem: Problem) -> Problem:

@@ -45,7 +45,6 @@ from orthoglide.explanation.faults import (
 from orthoglide.explanation.full_posterior import (
     FullPosterior,
     full_posterior,
-    posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
 from orthoglide.explanation.ranked_readings import Misreading, likeliest_misreading
@@ -102,14 +101,12 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
-        changes, cost = likeliest_changes(fit)
-        base = fit_nested(with_changes_separate(fit.problem, changes)) if changes else fit
-        first = posterior_with_corrected_commands(base, misreading.posterior)
+        changes, base, first, unchanged = _beside_changes(fit, misreading.posterior)
         states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
         if changes and misreading.fault is None:  # which may explain the readings without changes
-            evidence, unchanged = first.evidence - cost, posterior_at_base_fit(fit)
+            evidence = first.evidence - _prior_log_odds_against(changes)
             misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
         converged = None
@@ -140,6 +137,32 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         found.ambiguous,
         (*contradictions, *unsettled, *_fault_notes(posterior.before.problem, found)),
     )
+
+
+def _beside_changes(
+    fit: Estimate, earlier: FullPosterior | None
+) -> tuple[list[Change], Estimate, FullPosterior, FullPosterior]:
+    """Return the changes between visits, the fit with these parameters separate, its posterior, and
+    the posterior without changes.
+
+    The search of changes assumes that everything else is off by its tolerances. With the background
+    and the noise that the readings show, the full model may need no change: its evidence decides.
+
+    Args:
+        fit: of all readings, with one value of each parameter.
+        earlier: posterior that is used again if it is of the same fit.
+    """
+    unchanged = posterior_with_corrected_commands(fit, earlier)
+    if changes := likeliest_changes(fit):
+        base = fit_nested(with_changes_separate(fit.problem, changes))
+        posterior = posterior_with_corrected_commands(base, earlier)
+        if posterior.evidence - _prior_log_odds_against(changes) > unchanged.evidence:
+            return changes, base, posterior, unchanged
+    return [], fit, unchanged, unchanged
+
+
+def _prior_log_odds_against(changes: Sequence[Change]) -> float:
+    return sum(change.log_odds_against for change in changes)
 
 
 def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> CredibleFaults:
