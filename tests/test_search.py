@@ -161,6 +161,22 @@ def test_the_best_of_all_states_of_two_is_found(seed: int) -> None:
     assert search.log_weight(search.best) == pytest.approx(pooled(written_out(search, search.best)))
 
 
+@pytest.mark.parametrize("seed", [1, 4, 5, 8, 12])
+def test_causes_that_explain_the_readings_only_together_are_found(seed: int) -> None:
+    """Five of forty causes that show in eight ways: none of the five explains much by itself."""
+    rng = np.random.default_rng([78, seed])
+    ways, count = rng.standard_normal((ROWS, 8)), 2 + 40 + 9
+    columns = 10 * ways @ rng.standard_normal((8, count)) / np.sqrt(8)
+    columns += 0.3 * rng.standard_normal(columns.shape)
+    truth, wrong = np.zeros(count), 2 + rng.choice(40, 5, replace=False)
+    truth[wrong] = 5 * rng.choice([-1, 1], 5) * rng.uniform(0.6, 1.4, 5)
+    search = Search(made_up(columns, truth, seed))
+    state: State = ()
+    for k in wrong.tolist():
+        state = search.child(state, k - 2)
+    assert search.log_weight(search.best) >= search.log_weight(state) - 1e-6
+
+
 @pytest.mark.parametrize("start", [(), ((3, 1.0),), ((0, 3.0), (2, 1.0))])
 def test_what_is_given_stands_out_whatever_the_readings_say(start: State) -> None:
     """Wherever the search begins; it had ended without where nothing at all was likelier."""

@@ -24,6 +24,7 @@ Search and posterior
     linear_model          the linear model and the grid of background and noise scales
     gains                 what groups of columns explain of a residual
     pairs                 the likeliest pairs of causes
+    sparse                causes that explain the readings only together
     search                states of active groups by their evidence
     mixture               means, covariances and probabilities over the states
     base_fit              where readings are linearised, without a slip that drives it far off

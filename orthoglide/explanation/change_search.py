@@ -175,7 +175,7 @@ def _linear_model(
     linear = LinearModel(
         **vars(readings), fixed_sd=np.where(np.arange(count + c) < count, np.nan, 0.0),
         free_form=no_columns, plate_shapes=no_columns, groups=tuple(groups),
-        background_scales=(1.0,), max_active=_MOST_CHANGES,
+        background_scales=(1.0,), max_active=_MOST_CHANGES, noise_decay=1.0,
     )  # fmt: skip
     return drop_unseen_directions(linear), prior_mean, prior_root
 

@@ -10,7 +10,8 @@ is Gaussian:
 
 Each step adds, removes or exchanges one or two groups. Two active causes may explain the readings
 only together, and a third cause may resemble their sum. All pairs of causes and data faults with
-one coefficient are therefore compared.
+one coefficient are therefore compared, and a sparse regression on all of them finds where several
+explain the readings only together.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ from orthoglide.explanation.linear_model import (
     scale_grid,
 )
 from orthoglide.explanation.pairs import NEGLIGIBLE_LOG_ODDS, PartialProducts, likely_pairs
+from orthoglide.explanation.sparse import sparse_sizes
 from orthoglide.fit.least_squares import rounding
 from orthoglide.geometry import Array
-from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, largest
+from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending, largest
 
 State = tuple[tuple[int, float], ...]
 """Active groups by index, each with its tau."""
@@ -107,10 +109,20 @@ class Search:
         if self._given_groups <= {g for g, _ in earlier}:
             self.child_log_weights(earlier)
             state = best_of((state, earlier), self.log_weight, LOG_ODDS_MARGIN)
-        # A state keeps the weight of its first visit, despite rounding, so the loop terminates.
-        self.best = state
-        while better := self._better_state(self.best):
+        self._climb_from(state)
+        sparse = self._sparse_state()
+        if best_of((self.best, sparse), self.log_weight, LOG_ODDS_MARGIN) != self.best:
+            self._climb_from(sparse)
+
+    def _climb_from(self, state: State) -> None:
+        """Set the best state to the end of the way from a state to ever better ones.
+
+        A state keeps the weight of its first visit, despite rounding, so the way ends.
+        """
+        better: State | None = state
+        while better is not None:
             self.best = better
+            better = self._better_state(self.best)
 
     def _better_state(self, state: State) -> State | None:
         """Return a state of more weight from ever larger neighbourhoods, if there is one."""
@@ -120,6 +132,34 @@ class Search:
                 return best
         return None
 
+    def _sparse_state(self) -> State:
+        """Return the groups of one coefficient that explain the readings together, at the declared
+        noise, without those that cost more than they explain.
+
+        Of several causes none may explain much by itself, and larger noise may explain as much as
+        any of them: a search that adds one or two at a time then goes astray.
+        """
+        declared = next(k for k, scale in enumerate(self.scales) if scale.noise == 0)
+        taus, singles = np.array(self.linear.slab_scales), self._single_groups
+        products = self._residual_products[declared, self._first_column[singles]]
+        size = sparse_sizes(self._crossed[declared], products, taus.max())
+        most = self.linear.max_active - len(self._given_groups)
+        found = dict.fromkeys(self._given_groups, float(taus.max()))
+        for k in descending(size)[:most]:
+            if size[k] > taus.min() / 2:
+                nearest = np.abs(np.log(taus / size[k])).argmin()
+                found.setdefault(int(singles[k]), float(taus[nearest]))
+        state = tuple(sorted(found.items()))
+        while True:
+            fewer = [state, *self._with_fewer(state, 1)]
+            for one in fewer:
+                if one not in self.visited:
+                    no_columns = self._partial_products(one, slice(0))
+                    self.visited[one] = self._log_weights(one, no_columns)
+            if (best := best_of(fewer, self.log_weight, LOG_ODDS_MARGIN)) == state:
+                return state
+            state = best
+
     def _one_changed(self, state: State) -> Iterator[State]:
         """Yield states with one group added, removed or exchanged."""
         yield from self._with_one_more(state)
@@ -128,16 +168,8 @@ class Search:
             yield smaller
 
     def _two_changed(self, state: State) -> Iterator[State]:
-        """Yield states with two or three groups added, or one or two exchanged for two.
-
-        Where several groups are active, a wide background may fit as well as all but one of them:
-        only the last one makes the background narrow.
-        """
-        two_more = [s for child in self._with_one_more(state) for s in self._with_one_more(child)]
-        two_more += self._with_pair(state, ())
-        yield from two_more
-        for child in two_more:
-            yield from self._with_one_more(child)
+        """Yield states with two groups added, or one or two exchanged for two."""
+        yield from self._with_pair(state, ())
         for count in (1, 2):
             for smaller in self._with_fewer(state, count):
                 yield from self._with_pair(smaller, [g for g, _ in state])
