@@ -143,9 +143,8 @@ class Search:
         taus, singles = np.array(self.linear.slab_scales), self._single_groups
         products = self._residual_products[declared, self._first_column[singles]]
         size = sparse_sizes(self._crossed[declared], products, taus.max())
-        most = self.linear.max_active - len(self._given_groups)
         found = dict.fromkeys(self._given_groups, float(taus.max()))
-        for k in descending(size)[:most]:
+        for k in descending(size)[: self.linear.max_active - len(found)]:
             if size[k] > taus.min() / 2:
                 nearest = np.abs(np.log(taus / size[k])).argmin()
                 found.setdefault(int(singles[k]), float(taus[nearest]))
@@ -153,9 +152,7 @@ class Search:
         while True:
             fewer = [state, *self._with_fewer(state, 1)]
             for one in fewer:
-                if one not in self.visited:
-                    no_columns = self._partial_products(one, slice(0))
-                    self.visited[one] = self._log_weights(one, no_columns)
+                self._weights_by_scale(one, self._partial_products(one, slice(0)))
             if (best := best_of(fewer, self.log_weight, LOG_ODDS_MARGIN)) == state:
                 return state
             state = best
