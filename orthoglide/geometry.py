@@ -83,6 +83,13 @@ def plane_columns(points: Array) -> Array:
     return np.column_stack([np.ones(len(points)), points[:, :2]])
 
 
+def polynomial_columns(points: Array, degree: int) -> Array:
+    """Return the products ``(n, k)`` of powers of x and y up to a degree at points ``(n, 2+)``."""
+    x, y = points[:, :2].T
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    return np.stack([x**i * y**j for i, j in powers], axis=1)
+
+
 def fit_plane(points: Array, height: Array) -> tuple[Array, Array]:
     """Return the height in the middle and both slopes ``(3, ...)`` of the plane through heights
     ``(n, ...)`` at points ``(n, 2+)``, and the residuals ``(n, ...)``.

@@ -191,6 +191,22 @@ def test_neighbouring_touches_that_stand_up_alike_are_told_as_one(off: float, sa
     assert not any("neighbouring" in w for w in sound)
 
 
+def test_a_speck_under_a_touch_of_the_calibration_is_shown_by_the_mesh() -> None:
+    """Seven touches have no surface of their own: nothing was certain, the verdict was unexplained,
+    and numbers that the firmware had bent to the speck were kept.
+    """
+    verdict = closed("speck-under-calibration", "printer.cfg")
+    assert verdict.word == "adequate"
+    (told,) = (w for w in verdict.warnings if w.kind == "stray")
+    assert "calibration, line 5, setup 'heights'" in told
+    assert "0.23 mm above the surface of all others, as a speck on the plate" in told
+    assert verdict.corrections is not None
+    assert not verdict.corrections.keep
+    new = {name: float(value) for name, _, value in verdict.corrections.rows}
+    assert new["[printer] delta_radius"] == pytest.approx(140.3, abs=0.1)
+    assert new["[stepper_a] angle"] == pytest.approx(210.4, abs=0.05)
+
+
 def test_a_quiet_mesh_makes_no_slips_of_sound_distances() -> None:
     verdict = closed("quiet-mesh", "printer.cfg")
     assert verdict.word == "adequate"
@@ -476,6 +492,13 @@ def test_many_slips_are_none() -> None:
     wrong, of = map(int, re.findall(r"(\d+) of (\d+) readings would have to be wrong", note)[0])
     assert of in (7, 12)
     assert 4 * wrong > of
+
+
+def test_heights_of_other_microsteps_of_one_tower_are_taken_so() -> None:
+    """The present steps gave most heights too, but at places outside the towers."""
+    found = og.import_printer(FIELD / "steps-of-one-tower" / "printer.cfg")
+    assert any("2 times the microsteps of now, on tower b alone" in str(n) for n in found.notes)
+    assert len(found.campaigns[0]) == 7
 
 
 def test_distances_in_centimetres_are_no_other_microsteps(tmp_path: Path) -> None:

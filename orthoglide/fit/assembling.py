@@ -29,6 +29,7 @@ from orthoglide.observations import (
     split_legs_and_tool,
 )
 from orthoglide.observations.tables import with_distinct_sources
+from orthoglide.observations.touched_plates import outlying_touches
 from orthoglide.parameters import Parameter, split_campaign
 
 _MIN_POINTS = 3  # TCP points: the frame alone needs three
@@ -68,6 +69,10 @@ def assemble(
         if noise is None or not tool_only:
             factor = factor.with_roughness(machine).without_outlying_touches(machine)
         factors.append(factor)
+    touches = [f.readings for f in factors]
+    for k, row, height in outlying_touches(machine.spec.kinematics, touches):
+        heights = np.where(np.arange(len(factors[k].readings)) == row, height, 0.0)
+        factors[k] = factors[k].without_touches(heights, machine)
     if tool_only:
         rms = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
         summary = replace(summary, typical=rms)

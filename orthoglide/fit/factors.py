@@ -255,19 +255,31 @@ class Factor(MeasurementModel):
         return replace(self, noise=replace(noise, sigma=sigma, source=source))
 
     def without_outlying_touches(self, machine: Machine) -> Factor:
-        """Return the factor without outlying touches, with a sentence on each; on plates whose
-        places were touched more than once repeats show them.
+        """Return the factor without touches that lie off the surface of their plate, with a
+        sentence on each patch of them.
+        """
+        heights = np.zeros(len(self.setup))
+        for rows, _, outlying in self._surfaces(machine):
+            heights[rows] = outlying
+        return self.without_touches(heights, machine)
+
+    def without_touches(self, heights: Array, machine: Machine) -> Factor:
+        """Return the factor without touches that lie off their plate, by heights ``(n,)``, metres,
+        which are 0 of all others, with a sentence on each patch of equal heights. Where places were
+        touched more than once, repeats show them.
         """
         p, kept, sentences = self.nominal_places(machine), self.setup >= 0, list[str]()
-        for rows, _, heights in self._surfaces(machine):
+        for k in range(len(self.readings.setups)):
+            rows = np.flatnonzero(self.setup == k)
             if np.bincount(self.station[rows]).max(initial=0) > 1:
                 continue
-            outlying = heights != 0
-            kept[rows[outlying]] = False
-            for height in dict.fromkeys(heights[outlying].tolist()):  # one of each patch
-                sentences.append(self._outlying_sentence(rows[heights == height], height, p))
+            for height in dict.fromkeys(heights[rows][heights[rows] != 0].tolist()):
+                patch = rows[heights[rows] == height]
+                kept[patch] = False
+                sentences.append(self._outlying_sentence(patch, height, p))
         if not sentences:
             return self
+        sentences = [*self.exclusion_sentences, *sentences]
         return replace(self.subset(kept), exclusion_sentences=tuple(sentences))
 
     def _outlying_sentence(self, rows: NDArray[np.intp], height: float, p: Array) -> str:

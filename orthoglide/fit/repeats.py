@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from orthoglide.geometry import Array
+from orthoglide.geometry import Array, polynomial_columns
 from orthoglide.observations import Readings
 from orthoglide.observations.arrays import group_ids
 from orthoglide.observations.tables import repeat_steps
@@ -212,13 +212,6 @@ neighbours; of noise alone, the nineteen that go best together explain 38."""
 _MIN_ROUGHNESS = 1e-6  # metres: no plate is smoother
 
 
-def _polynomials(xy: Array, degree: int) -> Array:
-    """Return the products of powers of both coordinates up to a degree ``(n, k)``."""
-    x, y = xy.T
-    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    return np.stack([x**i * y**j for i, j in powers], axis=1)
-
-
 def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
     """Return the standard deviation of heights ``(n,)`` about a smooth surface, and the heights of
     outliers above it ``(n,)``, metres; 0 of all others, and with too few heights.
@@ -228,9 +221,9 @@ def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
     smooth. With lost motion the surface depends on the approach ``(n, 3)``, by a smoother term. An
     outlier is a speck or a bad touch, or a patch of neighbours that are off alike, as on a clip.
     """
-    smoother = _polynomials(xy, _APPROACH_DEGREE)
+    smoother = polynomial_columns(xy, _APPROACH_DEGREE)
     by_side = [side[:, None] * smoother for side in approach.T]
-    columns = np.hstack([_polynomials(xy, SURFACE_DEGREE), *by_side])
+    columns = np.hstack([polynomial_columns(xy, SURFACE_DEGREE), *by_side])
     rows_kept, outlier_height, sigma = np.ones(len(height), dtype=bool), np.zeros(len(height)), 0.0
     max_outliers = _MAX_OUTLIER_SHARE * len(height)
     distance = np.linalg.norm(xy[:, None] - xy, axis=2)

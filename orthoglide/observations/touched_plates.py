@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orthoglide.geometry import Array, fit_plane, plane_columns
+from orthoglide.geometry import Array, fit_plane, plane_columns, polynomial_columns
 from orthoglide.machine_file import DeltaKinematics
 from orthoglide.notes import Note
 from orthoglide.numerals import plain
@@ -52,6 +52,14 @@ counter-clockwise from above."""
 
 _MAX_BESIDE_BOWL = 0.1  # share of a difference's variance that a bowl may leave unexplained
 _MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
+
+_REFERENCE_DEGREE = 3  # of the smooth surface of a long list: lobes of a bed are of the third
+_MIN_REFERENCE, _MAX_JUDGED = 20, 30
+"""Touches of a list to which shorter ones are compared, twice the unknowns of its surface, and
+those from which a list has a surface of its own that shows a wrong touch."""
+_MIN_JUDGED = 7  # touches that show a wrong one: three more than a bowl has unknowns
+_OUTLIER_RATIO = 6.0  # distance of a wrong touch over the scatter of all others
+_USUAL_COUNT = 3  # pseudo-residuals of the usual noise, for few others
 
 
 @dataclass(frozen=True)
@@ -96,8 +104,10 @@ def disagreements(
     """
     if kinematics is None:
         return
-    agreed = list[Readings]()
-    for campaign in campaigns:
+    sound, agreed = list(campaigns), list[Readings]()
+    for k, row, _ in outlying_touches(kinematics, campaigns):
+        sound[k] = sound[k].subset(np.delete(np.arange(len(sound[k])), row))
+    for campaign in sound:
         for other in agreed:
             places, difference = _differences(kinematics, campaign, other, relative)
             note = _symmetry_note(kinematics, campaign, other, places, difference)
@@ -106,6 +116,58 @@ def disagreements(
                 break
         else:
             agreed.append(campaign)
+
+
+def outlying_touches(
+    kinematics: DeltaKinematics | None, lists: Sequence[Readings]
+) -> Iterator[tuple[int, int, float]]:
+    """Yield the list, the row and the height of each touch of a short list that lies off the plate
+    of the longest one, metres.
+
+    Few touches have no surface of their own that would show a speck under one of them. The plate of
+    each list may lie elsewhere and be a bowl against that of the longest.
+    """
+    counts = [int(c.touching.sum()) for c in lists]
+    if kinematics is None or max(counts, default=0) < _MIN_REFERENCE:
+        return
+    longest = lists[int(np.argmax(counts))]
+    q, heights = _touched_heights(kinematics, longest)
+    scale = float(np.abs(q).max())
+    basis, root = np.linalg.qr(polynomial_columns(q / scale, _REFERENCE_DEGREE))
+    if np.linalg.matrix_rank(root, tol=1e-6) < len(root):
+        return
+    for k, campaign in enumerate(lists):
+        if counts[k] < min(len(q), _MAX_JUDGED) and _turned(campaign) == _turned(longest):
+            p, height = _touched_heights(kinematics, campaign)
+            columns = np.linalg.solve(root.T, polynomial_columns(p / scale, _REFERENCE_DEGREE).T).T
+            # Elsewhere the surface is known less well than a touch.
+            known = np.flatnonzero(np.sum(columns**2, axis=1) < 1)
+            difference = height - columns @ (basis.T @ heights)
+            if outlier := _outlying_place(p[known], difference[known]):
+                row = np.flatnonzero(campaign.touching)[known[outlier[0]]]
+                yield k, int(row), outlier[1]
+
+
+def _outlying_place(places: Array, difference: Array) -> tuple[int, float] | None:
+    """Return the place at which two lists differ otherwise than at all others, and by how much;
+    ``None`` if there is none.
+    """
+    if len(places) < _MIN_JUDGED:
+        return None
+    columns = np.column_stack([plane_columns(places), np.sum(places**2, axis=1)])
+    basis = np.linalg.qr(columns)[0]
+    residual = difference - basis @ (basis.T @ difference)
+    free = np.maximum(1 - np.sum(basis**2, axis=1), 1e-9)  # share of an error that the bowl leaves
+    gain = residual**2 / free
+    k = int(np.argmax(gain))
+    others = float(residual @ residual - gain[k]) + _USUAL_COUNT * _USUAL_NOISE**2
+    others /= len(places) - columns.shape[1] - 1 + _USUAL_COUNT
+    return (k, float(residual[k] / free[k])) if gain[k] > _OUTLIER_RATIO**2 * others else None
+
+
+def _turned(campaign: Readings) -> float:
+    """Return by how much the plate was turned on its seat, degrees."""
+    return float(campaign.turned_by[campaign.touching].max(initial=0.0))
 
 
 def _symmetry_note(
@@ -203,8 +265,7 @@ def _differences(
     from scipy.interpolate import LinearNDInterpolator  # which is slow to load
 
     few, many = sorted((campaign, other), key=lambda c: int(c.touching.sum()))
-    turns = [c.turned_by[c.touching].max(initial=0.0) for c in (campaign, other)]
-    if turns[0] != turns[1] or not few.touching.any():
+    if _turned(campaign) != _turned(other) or not few.touching.any():
         return np.empty((0, 2)), np.empty(0)
     (p, heights), (q, other_heights) = (_touched_heights(kinematics, c) for c in (few, many))
     if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
