@@ -109,6 +109,7 @@ def test_an_endstop_that_moved_between_two_meshes_is_told(
         # At seven touches the same as turned by a quarter.
         (lambda table: table.T, "turned by 270 degrees"),
         (lambda table: table[::-1, ::-1], "turned by 180 degrees"),
+        (lambda table: -table.astype(float), "taken with heights of the other sign"),
         (lambda table: table, ""),
     ],
 )
@@ -120,7 +121,7 @@ def test_a_mesh_in_another_order_of_rows_is_told(
 
     def ordered(match: re.Match[str]) -> str:
         table = np.array([line[3:].split(",") for line in match[2].splitlines()])
-        return match[1] + "".join(f"#*# \t{','.join(row)}\n" for row in order(table))
+        return match[1] + "".join(f"#*# \t{','.join(map(str, row))}\n" for row in order(table))
 
     text, count = rows.subn(ordered, (DATA / "held" / "sr-cupsster.cfg").read_text(), count=1)
     assert count == 1

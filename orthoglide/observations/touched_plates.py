@@ -37,18 +37,19 @@ _LARGE_SHAPE, _MIN_SHAPE_RATIO = 4e-5, 3.0
 mm), and the ratio by which it falls if the places of a mirrored or turned list are corrected."""
 
 _SYMMETRIES = {
-    "mirrored in x": np.diag([-1.0, 1.0]),
-    "mirrored in y": np.diag([1.0, -1.0]),
-    "taken with x and y exchanged": np.array([[0.0, 1.0], [1.0, 0.0]]),
+    "mirrored in x": np.diag([-1.0, 1.0, 1.0]),
+    "mirrored in y": np.diag([1.0, -1.0, 1.0]),
+    "taken with x and y exchanged": np.eye(3)[[1, 0, 2]],
+    "taken with heights of the other sign": np.diag([1.0, 1.0, -1.0]),
     **{
-        f"turned by {angle} degrees": np.array([[c, -s], [s, c]])
+        f"turned by {angle} degrees": np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         for angle in (90, 120, 180, 240, 270)
         for c, s in [(np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle)))]
     },
 }
-"""What the first of two lists may be, with the matrix from its places to those of the other, places
-being rows: other orders of rows and columns of a grid, turns of the towers' names or of a plate,
-counter-clockwise from above."""
+"""What the first of two lists may be, with the matrix from its points to those of the other, points
+being rows: other orders of rows and columns of a grid, a sign of heights that counts the plate's
+hollows up, turns of the towers' names or of a plate, counter-clockwise from above."""
 
 _MAX_BESIDE_BOWL = 0.1  # share of a difference's variance that a bowl may leave unexplained
 _MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
@@ -58,6 +59,7 @@ _MIN_REFERENCE, _MAX_JUDGED = 20, 30
 """Touches of a list to which shorter ones are compared, twice the unknowns of its surface, and
 those from which a list has a surface of its own that shows a wrong touch."""
 _MIN_JUDGED = 7  # touches that show a wrong one: three more than a bowl has unknowns
+_MIN_FREE = 0.1  # share: an error in the middle, all but a bowl, is not told from one
 _OUTLIER_RATIO = 6.0  # distance of a wrong touch over the scatter of all others
 _USUAL_COUNT = 3  # pseudo-residuals of the usual noise, for few others
 
@@ -157,8 +159,8 @@ def _outlying_place(places: Array, difference: Array) -> tuple[int, float] | Non
     columns = np.column_stack([plane_columns(places), np.sum(places**2, axis=1)])
     basis = np.linalg.qr(columns)[0]
     residual = difference - basis @ (basis.T @ difference)
-    free = np.maximum(1 - np.sum(basis**2, axis=1), 1e-9)  # share of an error that the bowl leaves
-    gain = residual**2 / free
+    free = 1 - np.sum(basis**2, axis=1)  # share of an error that the bowl leaves
+    gain = np.where(free > _MIN_FREE, residual**2 / free.clip(_MIN_FREE), 0.0)
     k = int(np.argmax(gain))
     others = float(residual @ residual - gain[k]) + _USUAL_COUNT * _USUAL_NOISE**2
     others /= len(places) - columns.shape[1] - 1 + _USUAL_COUNT
@@ -192,8 +194,9 @@ def _symmetry_note(
         f"{campaign.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
         f"beside a plane their heights differ by {plain(size * 1e3, 3)} mm rms, and by "
         f"{plain(min(shapes.values()) * 1e3, 3)} mm if {campaign.name}.csv is "
-        f"{' or '.join(ways)}. Correct the order of its rows and columns, or probe it again; of a "
-        f"plate that was turned say by how much (turned_deg, or --turned NAME=DEGREES on import)",
+        f"{' or '.join(ways)}. Correct its sign or the order of its rows and columns, or probe it "
+        f"again; of a plate that was turned say by how much (turned_deg, or --turned NAME=DEGREES "
+        f"on import)",
         "apart",
     )
 
@@ -259,8 +262,8 @@ def _differences(
     """Return common places ``(n, 2)`` of two lists and by how much the plate of the first is
     higher there ``(n,)``, metres; empty if they are too few, or the plate was turned between them.
 
-    With a symmetry, a matrix ``(2, 2)`` that takes places of the first to places of the other, each
-    place is compared with its image.
+    With a symmetry, a matrix ``(3, 3)`` that takes points of the first to points of the other, each
+    point is compared with its image.
     """
     from scipy.interpolate import LinearNDInterpolator  # which is slow to load
 
@@ -271,8 +274,9 @@ def _differences(
     if np.linalg.matrix_rank(plane_columns(q), tol=1e-3) < 3:
         return np.empty((0, 2)), np.empty(0)
     q, first = np.unique(np.round(q, 5), axis=0, return_index=True)
-    to_other = np.eye(2) if symmetry is None else symmetry
-    images = p @ (to_other if few is campaign else to_other.T)
+    to_other = np.eye(3) if symmetry is None else symmetry
+    images = p @ (to_other if few is campaign else to_other.T)[:2, :2]
+    heights = heights * to_other[2, 2]
     difference = heights - LinearNDInterpolator(q, other_heights[first])(images)
     difference *= 1 if few is campaign else -1
     common = np.isfinite(difference)

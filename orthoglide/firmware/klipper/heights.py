@@ -128,17 +128,14 @@ def _read_kind(config: Config, section: ConfigSection, kind: str) -> tuple[list[
     return [*values], np.array([*values.values()]), np.array(steps)
 
 
-def _excess(numbers: Numbers, value: Array, p: Array) -> tuple[Array, Array]:
+def _excess(value: Array, p: Array) -> tuple[Array, Array]:
     """Return computed minus stored values for places ``(n, k, 3)``, and their limits, metres.
 
-    Heights have one column ``(n, 1)``, nan outside the towers, where wrong steps may give a right
-    height. Distances have three ``(n, 3)``: the distance, and z at both ends, which is 0 on the
-    plate.
+    Heights have one column ``(n, 1)``. Distances have three ``(n, 3)``: the distance, and z at both
+    ends, which is 0 on the plate.
     """
     if p.shape[1] == 1:
-        inside = np.hypot(p[:, :, 0], p[:, :, 1]) <= numbers.delta_radius
-        height = np.where(inside, p[:, :, 2], np.nan)
-        return height - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
+        return p[:, :, 2] - value[:, None], np.full((len(value), 1), _MAX_VALUE_ERROR)
     distance = np.linalg.norm(p[:, 1] - p[:, 0], axis=1)
     most = np.full((len(value), 3), _MAX_VALUE_ERROR)
     most[:, 0] = np.maximum(_MAX_DISTANCE_ERROR[0] * value, _MAX_DISTANCE_ERROR[1])
@@ -158,6 +155,13 @@ def _positions(numbers: Numbers, way: Array) -> Array:
     return p
 
 
+def _is_inside(numbers: Numbers, p: Array) -> NDArray[np.bool_]:
+    """Return which readings ``(n, k, 3)`` are of places between the towers ``(n,)``: wrong steps
+    give right heights outside them.
+    """
+    return np.asarray(np.hypot(*p[..., :2].T).max(axis=0) <= numbers.delta_radius)
+
+
 def _microstep_ratios(
     config: Config, numbers: Numbers, kind: str, value: Array, way: Array
 ) -> Array:  # fmt: skip
@@ -171,8 +175,10 @@ def _microstep_ratios(
     others = product(PULLEY_RATIOS, _TOWER_SETS[:1]) if way.shape[1] > 1 else ()
     for ratio, towers in (*product(MICROSTEP_RATIOS, _TOWER_SETS), *others):
         ratios = np.where(towers, ratio, 1.0)
-        excess, most = _excess(numbers, value, _positions(numbers, way * ratios))
-        if np.mean((np.abs(excess) <= most).all(axis=1)) > 0.5:
+        p = _positions(numbers, way * ratios)
+        excess, most = _excess(value, p)
+        right = (np.abs(excess) <= most).all(axis=1) & _is_inside(numbers, p)
+        if np.mean(right) > 0.5:
             if ratio != 1.0:
                 alone, outcome = _single_tower(ratios), "and are converted"
                 if ratio in PULLEY_RATIOS:
@@ -208,7 +214,7 @@ def _step_factors(
         return {}
 
     def excess(kind: str, way: Array) -> Array:
-        return _excess(numbers, values[kind], _positions(numbers, way))[0][:, 0]
+        return _excess(values[kind], _positions(numbers, way))[0][:, 0]
 
     def gain(kind: str, shift: Array, factor: Array) -> float:
         """Return the decrease of chi2 of a kind by factors; of heights, against a shift."""
@@ -261,13 +267,15 @@ def _plausible_rows(
 ) -> NDArray[np.bool_]:
     """Return which readings agree with the stored numbers ``(n,)``; none if most of them do not.
 
-    A common shift of heights is left to `_endstop_shift`.
+    A common shift of heights is left to
+    `_endstop_shift`.
     """
-    excess, most = _excess(numbers, value, p)
-    reached, common = np.asarray(np.isfinite(excess).all(axis=1)), 0.0
+    excess, most = _excess(value, p)
+    reached = np.asarray(np.isfinite(excess).all(axis=1))
+    common = 0.0
     if p.shape[1] == 1 and reached.sum() >= _MIN_PLANE_HEIGHTS:
         common = float(np.median(excess[reached]))
-    plausible = reached & (np.abs(excess - common) <= most).all(axis=1)
+    plausible = reached & _is_inside(numbers, p) & (np.abs(excess - common) <= most).all(axis=1)
     plausible &= np.mean(plausible) > 0.5
     if len(plausible) > 1 and not plausible.any():
         misses = ", which the arms do not reach"
