@@ -212,6 +212,15 @@ def test_the_reading_that_rejects_numbers_is_named() -> None:
     assert heights.largest.startswith(f"line {calibration.line[2]}, +")
 
 
+def test_one_reading_or_a_noisy_probe_rejects_no_numbers() -> None:
+    """Six numbers fit seven touches however noisy, and a speck under one of them too."""
+    gain = ResidualChange("mesh", "heights", 81, 6e-5, 3e-5)
+    rise = ResidualChange("calibration", "heights", 7, 1.3e-5, 4e-5)
+    assert "calibration rises from 0.013 to 0.040 mm" in rejection_reason([gain, rise])
+    assert not rejection_reason([gain, rise], touch_noise=5e-5)
+    assert not rejection_reason([gain, replace(rise, others=(1.3e-5, 1.4e-5))])
+
+
 def test_numbers_that_are_advised_are_the_finding(tmp_path: Path) -> None:
     """A mesh has a plane of its own, beside which an endstop leaves no residual: nothing was wrong,
     and then numbers were advised.

@@ -29,7 +29,7 @@ from orthoglide.firmware.klipper.numbers import (
     corrections_of,
     make_record,
 )
-from orthoglide.geometry import Array, fit_plane, plane_columns
+from orthoglide.geometry import Array, fit_plane, plane_columns, polynomial_columns
 from orthoglide.instruments import PRINTED
 from orthoglide.machine import Machine
 from orthoglide.numerals import signed
@@ -40,8 +40,8 @@ _CHANCE_GAIN = 12.0
 """Change of chi2 by Akaike's criterion: two for each of six fitted numbers, of which chance
 explains one."""
 
-_NOISE = {"heights": PROBE_REPEATABILITY, "distances": CALIPER_REPEATABILITY}
-"""Standard deviation of a reading, metres."""
+_SURFACE_DEGREE = 4  # of the smooth surface about which touches scatter, as in the fit
+_SD_OF_MEDIAN = 1.4826  # standard deviation over the median size of a normal error
 
 _WIDE_REACH = 0.8  # share of the widest list's reach at which a list determines z = 0 too
 _RINGS, _RAYS = (0.0, 0.5, 1.0), 12  # of points on the plate
@@ -99,16 +99,20 @@ def new_numbers(
         chosen, keep = with_arms, ""
     new = old.changed(chosen.change)
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
+    noise = _touch_noise(plates)
     judged = residual_changes(old, new, campaigns, meshes_relative, free_size=True)
-    keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged]) or keep
+    keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged], noise) or keep
     gain = errors.gain(now, chosen.error).along
     return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain))
 
 
-def rejection_reason(changes: Sequence[ResidualChange]) -> str:
+def rejection_reason(
+    changes: Sequence[ResidualChange], touch_noise: float = PROBE_REPEATABILITY
+) -> str:
     """Return why new numbers are not to be entered; empty if they are better.
 
-    They are better if they fit some readings better by more than chance, and none worse.
+    They are better if they fit some readings better by more than chance, and none worse. A rise
+    that one reading causes alone, as a speck under a touch does, is none.
     """
     touches = sum(c.count for c in changes if c.kind == "heights")
     if touches <= _FITTED_COUNT:
@@ -116,11 +120,18 @@ def rejection_reason(changes: Sequence[ResidualChange]) -> str:
             f"{_FITTED_COUNT} numbers fit any {touches} touches of the plate, right or "
             f"wrong: touch it at more places"
         )
-    if worse := [c for c in changes if c.new > c.old and _is_more_than_chance(c)]:
+    noise = {"heights": touch_noise, "distances": CALIPER_REPEATABILITY}
+    if worse := [
+        c for c in changes
+        if _is_more_than_chance(c.count, c.old, c.new, noise[c.kind])
+        and _is_more_than_chance(c.count - 1, c.others[0], c.others[1], noise[c.kind])
+    ]:  # fmt: skip
         most = max(worse, key=lambda c: c.new - c.old)
         again = f"; it is largest at {most.largest}: take that reading again"
         return f"{_residual_clause(most, 'rises')}{again * bool(most.largest)}"
-    if not any(c.new < c.old and _is_more_than_chance(c) for c in changes):
+    if not any(
+        _is_more_than_chance(c.count, c.new, c.old, max(noise[c.kind], c.new)) for c in changes
+    ):
         most = min(changes, key=lambda c: c.new - c.old)
         return f"{_residual_clause(most, 'goes')}, which is less than 5 % or no more than chance"
     return ""
@@ -133,17 +144,24 @@ def _residual_clause(change: ResidualChange, verb: str) -> str:
     )
 
 
-def _is_more_than_chance(change: ResidualChange) -> bool:
-    """Return whether the residual of readings changes by more than chance, and by 5 %.
-
-    The noise is that of the instrument. If the readings fit better, it is the new residual where
-    that is larger, as what the model lacks must not count as a gain.
+def _touch_noise(plates: Sequence[tuple[Array, Array]]) -> float:
+    """Return the standard deviation of a touch, metres: that of an instrument, or of the plates'
+    heights ``(n,)`` about smooth surfaces through their places ``(n, 2)``, if that is larger.
     """
-    low, high = sorted((change.old, change.new))
-    noise = _NOISE[change.kind]
-    noise = max(noise, low) if change.new < change.old else noise
-    chi2 = change.count * (high**2 - low**2) / noise**2
-    return high > (1 + _MIN_GAIN) * low and chi2 > _CHANCE_GAIN
+    deviations = [np.zeros(0)]
+    for places, height in plates:
+        columns = polynomial_columns(places / np.abs(places).max(), _SURFACE_DEGREE)
+        count, unknowns = columns.shape
+        if count > 2 * unknowns:
+            residual = height - columns @ np.linalg.lstsq(columns, height)[0]
+            deviations.append(np.abs(residual) * np.sqrt(count / (count - unknowns)))
+    every = np.concatenate(deviations)
+    return max(_SD_OF_MEDIAN * float(np.median(every)) if len(every) else 0.0, PROBE_REPEATABILITY)
+
+
+def _is_more_than_chance(count: int, low: float, high: float, noise: float) -> bool:
+    """Return whether a residual rises from low to high by more than chance, and by 5 %."""
+    return high > (1 + _MIN_GAIN) * low and count * (high**2 - low**2) > _CHANCE_GAIN * noise**2
 
 
 def residual_changes(
@@ -163,10 +181,13 @@ def residual_changes(
                     else _height_residuals(numbers, old, part, meshes_relative)
                     for numbers in (old, new)
                 )  # fmt: skip
-                first, last = (float(np.sqrt(np.mean(r**2))) for r in (before, after))
                 worst = int(np.argmax(np.abs(after)))
+                sums = [(float(r @ r), float(r @ r - r[worst] ** 2)) for r in (before, after)]
+                rms = np.sqrt(np.array(sums) / [len(part), max(len(part) - 1, 1)])
+                (first, last), others = rms.T.tolist()
                 largest = f"line {part.line[worst]}, {signed(float(after[worst]) * 1e3, 3)} mm"
-                yield ResidualChange(campaign.name, kind, len(part), first, last, largest)
+                name, count = campaign.name, len(part)
+                yield ResidualChange(name, kind, count, first, last, largest, others)
 
 
 def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:

@@ -10,6 +10,7 @@ at height h_i has the nozzle at (x, y, z) where
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -252,6 +253,7 @@ class ResidualChange:
     old: float  # by the firmware's equations with the old numbers
     new: float  # with the new ones
     largest: str = ""  # where the residual is largest with the new ones, and that, a phrase
+    others: Sequence[float] = (0.0, math.inf)  # old and new without that reading
 
 
 def make_record(
