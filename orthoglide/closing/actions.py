@@ -320,7 +320,9 @@ def _compensation(outcome: RunOutcome) -> Action | Withheld | None:
     gain, sigma = outcome.compensation_gain
     if gain <= _MIN_RELATIVE_GAIN * outcome.numbers.expected["now"].shape:
         return None
-    if reason := lack_of_gain(gain, sigma):
+    # Of a probed plate, commands that follow a bowl instead of a wrong radius are wrong too.
+    unseen = outcome.sizes.compensation_lack if outcome.sizes else ""
+    if reason := lack_of_gain(gain, sigma) or unseen:
         return Withheld("compensate", reason)
     words = (
         f"Send compensated commands: orthoglide compensate path.csv --machine calibrated.toml"

@@ -202,6 +202,8 @@ class DeltaSizes:
     gain: float  # decrease of the tool's weighted error over the plate to expect, rms, metres
     sigma: float  # standard deviation of the gain
     advised: bool  # whether the set is to be entered, by the rule of `best_sizes`
+    # why not even commands that correct all errors are sure to improve the tool, a clause; or empty
+    compensation_lack: str
 
 
 def best_sizes(machine: Machine, campaigns: Sequence[Readings]) -> DeltaSizes | None:
@@ -237,7 +239,8 @@ def best_sizes(machine: Machine, campaigns: Sequence[Readings]) -> DeltaSizes | 
     a, b = change[TOWERS]
     endstops, shifts = (v - np.median(v) for v in (change[ENDSTOPS], np.array([a, b, -a - b])))
     arms, wider = float(change[6]), float(change[3])
-    return DeltaSizes(endstops, arms, wider, shifts, *gain.weighted, advised)
+    lack = errors.gain(now, 0 * now).lack
+    return DeltaSizes(endstops, arms, wider, shifts, *gain.weighted, advised, lack)
 
 
 def _touched_places(machine: Machine, touches: Readings) -> Array:
