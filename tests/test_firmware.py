@@ -349,12 +349,25 @@ def test_an_endstop_of_another_firmware_is_told(tmp_path: Path) -> None:
 def test_what_touches_cannot_tell_from_a_radius_changes_no_size(
     true: DeltaKinematics, bowl: float, tmp_path: Path
 ) -> None:
-    """A radius for rods that were entered short made the tool worse along the plate."""
+    """A radius for rods that were entered short made the tool worse along the plate, and so did
+    compensated commands, which were advised all the same.
+    """
     verdict = advised(true, tmp_path, bowl)
     assert not sizes_told(verdict)
+    assert "compensate" not in [a.kind for a in verdict.actions]
     first = verdict.actions[0]
     assert first.kind == "measure"
     assert re.search("measure a rod .* and how far .* lay a straight edge across", first.words)
+
+
+def test_a_plate_that_a_straight_edge_shows_flat_gives_the_radius(tmp_path: Path) -> None:
+    """It was asked for, and no entry of the machine file could take what it showed."""
+    true, rods = delta(radius=0.5), "\n[measured]\nrods_mm = [215.0, 0.1]\n"
+    first = advised(true, tmp_path, measured=rods).actions[0]
+    assert "plate_bow under [tolerance]" in first.words
+    flat = f"{rods}\n[tolerance]\nplate_bow = 0.02\n"
+    told = sizes_told(advised(true, tmp_path, measured=flat))
+    assert told["radius"] == pytest.approx(0.5, abs=0.1)
 
 
 def test_measured_rods_come_with_their_radius(tmp_path: Path) -> None:

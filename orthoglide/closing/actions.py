@@ -95,7 +95,8 @@ _CORRECT_SIZES = "Correct the sizes by which the controller computes ({}), in th
 _SET_ENDSTOPS = "set endstops and height by the controller's own calibration"
 _MEASURE_FIRST = (
     "No new size is advised yet (expected gain {} mm), as a bowl of the plate{} looks like another "
-    "radius: before any size is entered, {}lay a straight edge across the plate"
+    "radius: before any size is entered, {}lay a straight edge across the plate and put the gap "
+    "under it (0.02 if none is seen) into the machine file, plate_bow under [tolerance]"
 )
 _MIN_UNCERTAIN_GAIN = 5e-5  # metres: less is not worth a measurement
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now

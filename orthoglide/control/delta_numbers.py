@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from orthoglide.accuracy import drawn_errors, lack_of_gain
-from orthoglide.effects.plates import PLATE_SHAPE_SD
+from orthoglide.effects.plates import PLATE_BOW
 from orthoglide.geometry import Array, fit_plane
 from orthoglide.machine import Machine
 from orthoglide.numerals import with_sigma
@@ -101,6 +101,7 @@ class PlateErrors:
         along_weight: float, has_height: bool, arms_seen: bool,
     ) -> None:  # fmt: skip
         self._computes, self._places = computes, places
+        self._bowl = machine.spec.tolerance[PLATE_BOW.name]
         self._weights = np.array([along_weight, along_weight, 1.0])
         wanted = places + np.outer(plane, [0.0, 0.0, 1.0])
         self._commands = machine.inverse(wanted)
@@ -169,7 +170,7 @@ class PlateErrors:
         unseen = np.zeros((len(slopes), 2))
         unseen[:, 0] = slopes[:, 6] * _ARM_SD * (not arms_seen)
         squares = np.sum(self._places**2, axis=1)
-        unseen[2::3, 1] = PLATE_SHAPE_SD * squares / np.max(squares)
+        unseen[2::3, 1] = self._bowl * squares / np.max(squares)
         unseen -= slopes[:, :4] @ np.linalg.lstsq(slopes[2::3, :4], unseen[2::3])[0]
         unseen[2::3] = 0.0
         return unseen
