@@ -15,6 +15,7 @@ from orthoglide.accuracy import lack_of_gain
 from orthoglide.closing.outcome import RunOutcome
 from orthoglide.control import DeltaSizes, withholding_reason
 from orthoglide.effects.free_form_words import confirming_test
+from orthoglide.effects.plates import PLATE_BOW
 from orthoglide.effects.wording import cause_words, confirm_words
 from orthoglide.explanation.change import Change
 from orthoglide.machine import Machine
@@ -96,7 +97,7 @@ _SET_ENDSTOPS = "set endstops and height by the controller's own calibration"
 _MEASURE_FIRST = (
     "No new size is advised yet (expected gain {} mm), as a bowl of the plate{} looks like another "
     "radius: before any size is entered, {}lay a straight edge across the plate and put the gap "
-    "under it (0.02 if none is seen) into the machine file, plate_bow under [tolerance]"
+    "under it (0.02 if none is seen) into the machine file, {} under [tolerance]"
 )
 _MIN_UNCERTAIN_GAIN = 5e-5  # metres: less is not worth a measurement
 _MIN_RELATIVE_GAIN = 0.02  # smallest gain worth a line, relative to the tool's error now
@@ -199,7 +200,7 @@ def _size_actions(found: DeltaSizes, machine: Machine) -> Iterator[Action]:
         if found.gain > _MIN_UNCERTAIN_GAIN and sizes:
             gain = with_sigma(found.gain * 1e3, found.sigma * 1e3)
             rods = " or rods of another length" * (lengths.rods is None)
-            yield Action("measure", _MEASURE_FIRST.format(gain, rods, first))
+            yield Action("measure", _MEASURE_FIRST.format(gain, rods, first, PLATE_BOW.name))
         return
     off = [
         f"carriage {leg} stands {abs(offset) * 1e3:.2f} mm {'higher' if offset > 0 else 'lower'}"

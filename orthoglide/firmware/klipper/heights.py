@@ -155,30 +155,26 @@ def _positions(numbers: Numbers, way: Array) -> Array:
     return p
 
 
-def _is_inside(numbers: Numbers, p: Array) -> NDArray[np.bool_]:
-    """Return which readings ``(n, k, 3)`` are of places between the towers ``(n,)``: wrong steps
-    give right heights outside them.
-    """
+def _inside(numbers: Numbers, p: Array) -> NDArray[np.bool_]:
+    """Return which of ``(n, k, 3)`` lie between the towers; outside, wrong steps fit heights."""
     return np.asarray(np.hypot(*p[..., :2].T).max(axis=0) <= numbers.delta_radius)
 
 
 def _microstep_ratios(
     config: Config, numbers: Numbers, kind: str, value: Array, way: Array
 ) -> Array:  # fmt: skip
-    """Return the ratios of the stored length of a microstep to the present one ``(3,)``.
+    """Return the ratios of the stored length of a microstep to the present one ``(3,)``, for ways
+    from the endstops at the present one.
 
-    Microsteps, of all towers or of one, may have been changed since the readings were stored: the
-    first ratio at which most readings are plausible is taken, else 1. Other pulleys or motors, of
-    all towers, are sought for distances: to heights, `_step_factors` fits any ratio. ``way`` is
-    that from the endstops at the present ratio.
+    Microsteps, of all towers or of one, may have been changed since: the first ratio at which most
+    readings are plausible is taken, else 1. Other pulleys or motors, of all towers, are sought for
+    distances: to heights, `_step_factors` fits any ratio.
     """
     others = product(PULLEY_RATIOS, _TOWER_SETS[:1]) if way.shape[1] > 1 else ()
     for ratio, towers in (*product(MICROSTEP_RATIOS, _TOWER_SETS), *others):
         ratios = np.where(towers, ratio, 1.0)
-        p = _positions(numbers, way * ratios)
-        excess, most = _excess(value, p)
-        right = (np.abs(excess) <= most).all(axis=1) & _is_inside(numbers, p)
-        if np.mean(right) > 0.5:
+        excess, most = _excess(value, p := _positions(numbers, way * ratios))
+        if np.mean((np.abs(excess) <= most).all(axis=1) & _inside(numbers, p)) > 0.5:
             if ratio != 1.0:
                 alone, outcome = _single_tower(ratios), "and are converted"
                 if ratio in PULLEY_RATIOS:
@@ -267,21 +263,18 @@ def _plausible_rows(
 ) -> NDArray[np.bool_]:
     """Return which readings agree with the stored numbers ``(n,)``; none if most of them do not.
 
-    A common shift of heights is left to
-    `_endstop_shift`.
+    A common shift of heights is left to `_endstop_shift`.
     """
     excess, most = _excess(value, p)
-    reached = np.asarray(np.isfinite(excess).all(axis=1))
-    common = 0.0
+    reached, common = np.asarray(np.isfinite(excess).all(axis=1)), 0.0
     if p.shape[1] == 1 and reached.sum() >= _MIN_PLANE_HEIGHTS:
         common = float(np.median(excess[reached]))
-    plausible = reached & _is_inside(numbers, p) & (np.abs(excess - common) <= most).all(axis=1)
+    plausible = _inside(numbers, p) & (np.abs(excess - common) <= most).all(axis=1)
     plausible &= np.mean(plausible) > 0.5
     if len(plausible) > 1 and not plausible.any():
-        misses = ", which the arms do not reach"
-        if reached.any():
-            largest = plain(np.abs(excess[reached]).max() * 1e3, 1)
-            misses = f", which the stored numbers miss by up to {largest} mm"
+        largest = plain(np.abs(excess[reached]).max(initial=0.0) * 1e3, 1)
+        misses = f"the stored numbers miss by up to {largest} mm"
+        misses = f", which {misses if reached.any() else 'the arms do not reach'}"
         remedy = "they are of different times, or a number of one tower is wrong: correct it"
         if p.shape[1] > 1 and (np.abs(excess[:, 1:]) <= most[:, 1:]).all():  # right positions
             share = float(np.median(value / (value + excess[:, 0])))
