@@ -191,6 +191,19 @@ def test_neighbouring_touches_that_stand_up_alike_are_told_as_one(off: float, sa
     assert not any("neighbouring" in w for w in sound)
 
 
+def test_a_hot_plate_that_bows_does_not_drift() -> None:
+    """Slopes that change evenly, row by row of a mesh, bend a plate as heat does: they were certain."""
+    found = og.import_printer(FIELD.parent / "delta" / "flight505.cfg")
+    (*_, cold), machine = found.campaigns, og.Machine(found.machine)
+    assert machine.spec.kinematics is not None
+    x, y, _ = machine.spec.kinematics.places(cold.command).T
+    bowl = 1.2e-4 * (x**2 + y**2) / np.max(x**2 + y**2)
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(len(x))
+    setups = (replace(cold.setups[0], name="hot"),)
+    hot = replace(cold, name="hot", setups=setups, reading=cold.reading - bowl + noise)
+    assert not studied([*found.campaigns, hot], machine).blunders
+
+
 def test_a_speck_under_a_touch_of_the_calibration_is_shown_by_the_mesh() -> None:
     """Seven touches have no surface of their own: nothing was certain, the verdict was unexplained,
     and numbers that the firmware had bent to the speck were kept.

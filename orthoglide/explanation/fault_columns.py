@@ -252,7 +252,8 @@ def _shifts_and_drifts(
         # A drift has the nuisances twice, themselves and their rates, if there are any.
         determined = len(rows) > 2 * width + 1 > 1
         if determined and not factor.on_legs and setup.name not in factor.drifting:
-            drift = columns * factor.progress[in_factor, None]
+            drift = columns[:, : setup.observation.drifting_count]
+            drift = drift * factor.progress[in_factor, None]
             yield FaultFamily("drifted", rows[None], drift[None])
 
 

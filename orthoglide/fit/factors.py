@@ -226,7 +226,7 @@ class Factor(MeasurementModel):
                     if index < len(columns):
                         columns[index] = columns[index] + column
                         continue
-                drifts = setup.name in self.drifting
+                drifts = setup.name in self.drifting and j < setup.observation.drifting_count
                 columns += [column, column * self.progress] if drifts else [column]
                 sd += [float(setup_sd[j])] * (1 + drifts)
         return NuisanceBlock(np.array(columns).reshape(-1, n).T, np.array(sd))

@@ -41,6 +41,8 @@ class PlateTouch(Observation):
     touches = True
     setup_columns = (*TOOL_OFFSET_COLUMNS, "turned_deg")
     nuisance_count = 3
+    # Row by row, slopes that change bend the plate as a bowl does; no plate tilts evenly.
+    drifting_count = 1
 
     def is_affected_by(self, effect: Effect, setup: Setup | None = None) -> bool:
         """Return whether an effect bends the plate."""
