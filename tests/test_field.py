@@ -192,7 +192,9 @@ def test_neighbouring_touches_that_stand_up_alike_are_told_as_one(off: float, sa
 
 
 def test_a_hot_plate_that_bows_does_not_drift() -> None:
-    """Slopes that change evenly, row by row of a mesh, bend a plate as heat does: they were certain."""
+    """Slopes that change evenly, row by row of a mesh, bend a plate as heat does, and they were
+    certain.
+    """
     found = og.import_printer(FIELD.parent / "delta" / "flight505.cfg")
     (*_, cold), machine = found.campaigns, og.Machine(found.machine)
     assert machine.spec.kinematics is not None
