@@ -273,6 +273,18 @@ def test_a_jump_is_likelier_in_a_long_pause() -> None:
     assert sum(jumps.values()) < 1.0
 
 
+def test_a_step_lost_near_an_end_of_the_session_is_no_knocked_or_noisy_dial() -> None:
+    """A jump needed six visible readings on either side, and a dial that was knocked two."""
+    rng = np.random.default_rng(72802)
+    rows = rc.protocol_rows("standard")
+    late = rows[-6]["time_s"] - 10.0  # three postures are left
+    rig = replace(RIG, extra=(rc.jumping_drive(0, 3e-4, late),))
+    outcome = studied([campaign_of(rc.simulate(rig, rows, rng))], noise=5e-6)
+    (found,) = outcome.located
+    assert outcome.blunders == ()
+    assert any(member.name.startswith("drive.x/time@") for member in found.members)
+
+
 def tool_rows(rig: Rig, kind: str, seed: int) -> og.Readings:
     """Readings of one instrument at the tool, 40 places in a row, three times over."""
     rng = np.random.default_rng(seed)

@@ -30,7 +30,7 @@ _BUMP_STEP = 4e-3  # metres: half the width of the narrowest bump
 _LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer are slips
 _MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
 _MOST_JUMPS = 8  # for each part, at the moments that explain most: 16 changed no result
-_LEAST_READINGS_BESIDE_JUMP = 6  # readings on either side of a jump: fewer are slips
+_LEAST_VISITS_BESIDE_JUMP = 2  # on either side, as of a knocked stand: a single one is a slip
 _LEAST_WAVE = 5e-3  # metres: shortest period of a wave, the smallest common lead of a screw
 _LEAST_CYCLES = 2.0  # over the stroke: a longer wave is a curve
 _CYCLE_STEP = 0.1  # between the periods that are tried: a tenth of a peak's width
@@ -189,15 +189,18 @@ def _jump_candidates(
     whitened_residual = project_out(fitted, residual / problem.sigma)
     levels = [replace(error, kernel=Level()) for error in errors]
     columns = _columns_of_factors(problem, x, levels, problem.factors)
+    pairs = zip(problem.factors, problem.factor_rows, strict=True)
+    visit = np.concatenate([factor.visit_number + rows.start for factor, rows in pairs])
     for error, rows in zip(errors, columns, strict=True):
         moments = _moments_or_travels(problem, error)
         order = np.argsort(moments, kind="stable")[::-1]  # sums from the end: after a moment
         moments, whitened = moments[order], whitened_residual[order]
         cuts = np.flatnonzero(np.diff(np.round(moments, _DECIMALS)) < 0)
         step = (rows[:, 0] / problem.sigma)[order]
-        visible_count = np.cumsum(np.abs(step) > _LEAST_SIGNAL)
-        fewer = np.minimum(visible_count[cuts], visible_count[-1] - visible_count[cuts])
-        allowed = cuts[fewer >= _LEAST_READINGS_BESIDE_JUMP]
+        visible = np.flatnonzero(np.abs(step) > _LEAST_SIGNAL)
+        visits = np.sort(visible[np.unique(visit[order][visible], return_index=True)[1]])
+        after = np.searchsorted(visits, cuts, side="right")
+        allowed = cuts[np.minimum(after, len(visits) - after) >= _LEAST_VISITS_BESIDE_JUMP]
         if not len(allowed):
             continue
         products, squares = np.cumsum(step * whitened)[allowed], np.cumsum(step**2)[allowed]
