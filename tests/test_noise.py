@@ -246,11 +246,11 @@ def test_an_instrument_at_the_tool_that_scatters_by_more_than_declared_is_told(
 # -- one instrument noisier than all others -------------------------------------------------------
 
 
-def one_noisy(ratio: float, seed: int) -> list[rc.Row]:
-    """A sound machine's sweep without repeats, one of whose six dials has so many times the noise
-    that the machine file gives.
+def one_noisy(ratio: float, seed: int, repeats: int = 1) -> list[rc.Row]:
+    """A sound machine's sweep, by default without repeats, one of whose six dials has so many times
+    the noise that the machine file gives.
     """
-    rows = rc.protocol_rows("sweep", repeats=1)
+    rows = rc.protocol_rows("sweep", repeats=repeats)
     noise = np.where([row["setup"] == "yx-0.5" for row in rows], ratio, 1.0) * 5e-6
     return rc.simulate(Rig(), rows, np.random.default_rng(seed), noise=noise, background=0.015)
 
@@ -269,6 +269,23 @@ def test_a_dial_far_noisier_than_the_others_is_no_error_of_the_machine(seed: int
     # The residual of all readings is compared with the noise of all.
     residual, noise = found.after.scores.rms, problem.single_reading_sd.length
     assert 0.5 < residual / noise < 1.5
+
+
+@pytest.mark.parametrize("seed", [9500, 9501])
+def test_a_noisy_dial_is_not_said_to_be_the_noise_of_all(seed: int) -> None:
+    """Its repeats counted for the noise of all dials, which was said to be 0.008 mm."""
+    fit = og.identify(public.campaign(one_noisy(5.0, seed, repeats=3)), public.machine())
+    (note,) = scatter_notes(fit)
+    assert "setup 'yx-0.5': repeats scatter by 0.0" in note
+    assert fit.problem.noise.typical == pytest.approx(np.hypot(5e-6, 1e-5 / np.sqrt(12)))
+
+
+def test_the_noise_of_repeats_is_without_that_of_a_noisier_setup() -> None:
+    for seed, ratio in ((1, 1.0), (1, 4.0), (2, 4.0)):
+        given = campaign(seed=seed)
+        noisier = given.reading * np.where(given.setup == 3, ratio, 1.0)
+        noise, _ = by_dial([given.with_readings(noisier)], EXACT)
+        assert (noise.source, noise.typical) == ("repeats", pytest.approx(SPREAD, rel=0.1))
 
 
 def test_a_dial_with_the_noise_of_the_others_is_not_named() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from orthoglide.explanation.full_posterior import FullPosterior, posterior_with_
 from orthoglide.fit import Estimate, Factor, Problem
 from orthoglide.fit.noise import noise_of, rms_noise
 from orthoglide.fit.noise_notes import noise_scales
+from orthoglide.fit.repeats import scatters_more
 from orthoglide.geometry import Array
 from orthoglide.observations import Readings
 from orthoglide.observations.tables import repeat_rows, repeat_steps
@@ -199,7 +201,10 @@ def _scales_by_repeats(factor: Factor, rows: Rows) -> tuple[Array, float]:
         differences[number] = _successive_differences(factor.readings.subset(setup_rows)) / sigma
     if not differences:
         return scales, 0.0
-    pooled = np.concatenate(list(differences.values()))
+    each = [d for d in differences.values() if len(d)]
+    variance = np.array([_robust_scatter(d, 0.0, _MEDIAN_QUANTILE) ** 2 for d in each])
+    noisier = scatters_more(variance, np.array([_dof_of_differences(d) for d in each]), 0.0)
+    pooled = np.concatenate([np.zeros(0), *compress(each, ~noisier)])
     common_scale = _refuted_scale(pooled, 1.0, _REFUTING_CHANCE)
     chance = _REFUTING_CHANCE / len(differences)
     for number, of_setup in differences.items():

@@ -27,6 +27,7 @@ from orthoglide.fit.repeats import (
     repeat_variance,
     total_variance,
     widen_at_rounding_edges,
+    without_noisier_setups,
 )
 from orthoglide.geometry import Array
 from orthoglide.instruments import LegDial, Observation
@@ -144,7 +145,8 @@ def noise_of(
 
     A figure declared for the run counts first (of dials on legs, where there are any), then the
     ``sigma`` of the rows, then the machine file's repeatability, then the scatter of repeats
-    (successive differences, so that slow drift does not count), then the usual figure of the kind.
+    (successive differences, so that slow drift does not count, and none of a setup that scatters
+    more than the others), then the usual figure of the kind.
     The variance of rounding is added: step^2 / 12, where the step is the instrument's, or the
     coarser one that its readings show.
 
@@ -306,7 +308,7 @@ def _scatter(
         return float(np.sqrt(np.mean(declared_sigmas**2))), "declared", np.inf
     if instrument.repeatability is not None:
         return instrument.repeatability, "machine", np.inf
-    variance, dof = repeat_variance(given)
+    variance, dof = repeat_variance(without_noisier_setups(given, step))
     if dof >= MIN_REPEAT_DOF and (variance > 0 or (step > 0 and observation.on_leg)):
         total = max(float(total_variance(variance, step)), observation.least_noise**2)
         return float(np.sqrt(max(total - step**2 / 12, 0.0))), "repeats", dof

@@ -159,6 +159,48 @@ def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:
     return (total / count if count else float("nan")), int(np.floor(2 * count / 3))
 
 
+def scatters_more(variance: Array, dof: Array, least: float) -> NDArray[np.bool_]:
+    """Return which setups scatter more than the others together ``(s,)``, fewer than half of them,
+    by an F test of the noisiest, then of the next.
+
+    Args:
+        variance: of one reading, by the repeats of each setup ``(s,)``.
+        dof: degrees of freedom behind it ``(s,)``.
+        least: variance below which setups do not differ: repeats of some rounded readings are all
+            equal, those of others between two digits.
+    """
+    from scipy.special import fdtrc
+
+    noisier = np.zeros(len(variance), dtype=bool)
+    while 2 * (np.sum(noisier) + 1) < len(variance):
+        worst = largest(np.where(noisier, -np.inf, variance))
+        others = ~noisier & (np.arange(len(variance)) != worst)
+        pooled = max(float(np.average(variance[others], weights=dof[others])), least)
+        chance = fdtrc(dof[worst], dof[others].sum(), variance[worst] / max(pooled, 1e-300))
+        if len(variance) * chance > _CHANCE:
+            break
+        noisier[worst] = True
+    return noisier
+
+
+def without_noisier_setups(campaigns: Sequence[Readings], step: float) -> Sequence[Readings]:
+    """Return the readings without setups whose repeats scatter more than those of the others: one
+    loose dial must not count as noise of all; ``step``: of the instruments, metres.
+    """
+    parts = [
+        (k, setup) for k, table in enumerate(campaigns) for setup in np.unique(table.setup).tolist()
+    ]
+    each = [repeat_variance([campaigns[k].subset(campaigns[k].setup == s)]) for k, s in parts]
+    tested = [(*part, *found) for part, found in zip(parts, each, strict=True) if found[1] > 0]
+    if not tested:
+        return campaigns
+    tables, setups, variance, dof = map(np.array, zip(*tested, strict=True))
+    noisier = scatters_more(variance, dof, (step / 2) ** 2)
+    out = [setups[noisier & (tables == k)] for k in range(len(campaigns))]
+    kept = zip(campaigns, out, strict=True)
+    return [t.subset(~np.isin(t.setup, s)) if len(s) else t for t, s in kept]
+
+
 def widen_at_rounding_edges(
     campaign: Readings, sigma: Array, common: Array, resolution: Array
 ) -> Array:
