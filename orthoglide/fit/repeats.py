@@ -20,7 +20,10 @@ _MAX_SCATTER_STEPS = 2.0  # scatter, in steps of a dial, from which rounding is 
 _METRIC_STEPS = (1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5, 5e-6, 2e-6, 1e-6)  # steps of instruments
 _INCH_STEPS = (25.4e-6, 12.7e-6)  # a thousandth and half of it: steps of dials
 _DISPLAY_TOLERANCE = 1e-3  # of a step, by which a figure that is printed in it may be off
-_CHANCE = 1e-3  # of readings that all fall on a coarser step than their dial has
+_CHANCE = 1e-3
+"""Probability of readings that all fall on a coarser step than their dial has, and of repeats that
+scatter more than all others although their noise is equal."""
+
 _MIN_READINGS_ON_GRID = 8  # readings: of a finer grid one in two or more is on the next by chance
 _SIGMAS_PER_STEP = 4.0  # sigmas within a step of the dial: scatter alone shows one digit
 _MEAN_RANGE = 2 / np.sqrt(np.pi)  # mean difference of two readings, sigmas
@@ -187,18 +190,16 @@ def without_noisier_setups(campaigns: Sequence[Readings], step: float) -> Sequen
     """Return the readings without setups whose repeats scatter more than those of the others: one
     loose dial must not count as noise of all; ``step``: of the instruments, metres.
     """
-    parts = [
-        (k, setup) for k, table in enumerate(campaigns) for setup in np.unique(table.setup).tolist()
-    ]
-    each = [repeat_variance([campaigns[k].subset(campaigns[k].setup == s)]) for k, s in parts]
-    tested = [(*part, *found) for part, found in zip(parts, each, strict=True) if found[1] > 0]
-    if not tested:
-        return campaigns
-    tables, setups, variance, dof = map(np.array, zip(*tested, strict=True))
-    noisier = scatters_more(variance, dof, (step / 2) ** 2)
-    out = [setups[noisier & (tables == k)] for k in range(len(campaigns))]
-    kept = zip(campaigns, out, strict=True)
-    return [t.subset(~np.isin(t.setup, s)) if len(s) else t for t, s in kept]
+    rows = [table.setup == s for table in campaigns for s in range(len(table.setups))]
+    tables = [k for k, table in enumerate(campaigns) for _ in table.setups]
+    each = [repeat_variance([campaigns[k].subset(r)]) for k, r in zip(tables, rows, strict=True)]
+    variance, dof = np.array(each).T
+    repeated = np.flatnonzero(dof > 0)
+    noisier = repeated[scatters_more(variance[repeated], dof[repeated], (step / 2) ** 2)]
+    kept = [np.ones(len(table), dtype=bool) for table in campaigns]
+    for k in noisier:
+        kept[tables[k]] &= ~rows[k]
+    return [table.subset(rows) for table, rows in zip(campaigns, kept, strict=True)]
 
 
 def widen_at_rounding_edges(
