@@ -171,6 +171,31 @@ def test_a_large_wrong_command_is_compared_where_it_is_corrected() -> None:
     assert record["right_rows"]
 
 
+def test_a_bump_that_is_visited_from_both_sides_is_no_certain_command() -> None:
+    """Both visits agreed, and the wrong command alone was named, corrected and called adequate."""
+    rig = Rig(extra=(rc.bump(0, 1, 1e-4, -0.025),))
+    rows = rc.protocol_rows("sweep", repeats=1)
+    rows = rc.simulate(rig, rows, np.random.default_rng(2), background=0.015)
+    outcome = studied([campaign_of(rows)], noise=5e-6)
+    assert (outcome.word, outcome.blunders) == ("ambiguous", ())
+    (found,) = outcome.located
+    assert "rail.x.y/travel@-25" in {member.name for member in found.members}
+    assert {rival.data for rival in found.data} == {"command", "outlier"}
+
+
+def test_a_bump_that_two_dials_of_one_direction_read_is_located() -> None:
+    """They read each posture once, and a command of 0.2 mm too much was named, as a fault."""
+    rig = Rig(extra=(rc.bump(0, 2, -1e-4, -0.025),))
+    once = dict[tuple[object, ...], rc.Row]()
+    for row in rc.protocol_rows("two-gauges", repeats=1):
+        once.setdefault((row["setup"], *(row[c] for c in rc.RHO)), row)
+    simulated = rc.simulate(rig, [*once.values()], np.random.default_rng(3), background=0.015)
+    outcome = studied([campaign_of(simulated)], noise=5e-6)
+    assert outcome.blunders == ()
+    (found,) = outcome.located
+    assert found.members[0].name == "rail.x.z/travel@-25"
+
+
 @pytest.mark.parametrize("repeats", [1, 2])
 def test_a_fault_of_what_was_visited_once_is_said_to_be_that(repeats: int) -> None:
     """A bump of a rail had been taken for a wrong command, or for a noisy dial, without a word."""

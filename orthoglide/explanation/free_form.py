@@ -26,7 +26,7 @@ from orthoglide.prediction import Model
 
 _LARGEST_BUMP_SHARE = 0.2  # of the readings at a travel: on fewer than five, a bump is a curve
 _MOST_BUMP_TRAVELS = 40  # travels of a leg: with more, each has too few readings for a bump
-_BUMP_STEP = 4e-3  # metres: half the width of the narrowest bump
+_BUMP_STEP, _BUMP_REACH = 4e-3, 16e-3  # metres: half and twice the width of the narrowest bump
 _LEAST_BUMP_STATIONS = 3  # stations on a bump of readings at the tool: fewer are slips
 _MOST_BUMPS = 4  # bumps considered for each part, at the travels that explain most
 _MOST_JUMPS = 8  # for each part, at the moments that explain most: 16 changed no result
@@ -97,20 +97,20 @@ def _moments(readings: Readings) -> tuple[Array, bool]:
 def bump_travels(problem: Problem) -> list[list[float]]:
     """Return the travels of each leg, metres, at which a bump is considered.
 
-    A travel at which the leg stands in many readings is left out, as an error there is no local
-    one. A travel without repeated readings is left out too, as a slip of the reading is likelier
-    there.
+    A travel of many readings is left out, as an error there is no local one. So is a travel near
+    which no direction is read twice, as a slip is likelier there.
     """
     travels: list[list[float]] = [[] for _ in LEGS]
-    if not problem.leg_factors:
+    if not (dials := problem.leg_factors):
         return travels
-    station = problem.station[: problem.leg_rows[-1].stop]
-    repeated = np.bincount(station)[station] > 1
-    legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in problem.leg_factors]
+    reach = _BUMP_REACH * problem.machine.geometry.scale
+    leg_and_axis = np.concatenate([len(LEGS) * f.readings.leg + f.readings.axis for f in dials])
+    legs = [problem.machine.model.leg_conditions({}, f.conditions()) for f in dials]
     for leg, leg_travels in enumerate(travels):
         travel = np.round(np.concatenate([c[leg].nominal_travel for c in legs]), _DECIMALS)
         levels, count = np.unique(travel, return_counts=True)
-        rare = (count <= _LARGEST_BUMP_SHARE * len(travel)) & np.isin(levels, travel[repeated])
+        near = (np.bincount(leg_and_axis[abs(travel - level) < reach]).max() for level in levels)
+        rare = (count <= _LARGEST_BUMP_SHARE * len(travel)) & (np.array([*near]) > 1)
         if rare.sum() <= _MOST_BUMP_TRAVELS:
             leg_travels += levels[rare].tolist()
     return travels
