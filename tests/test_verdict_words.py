@@ -94,6 +94,8 @@ def test_a_fitted_part_far_beyond_its_tolerance_is_a_finding(machine: og.Machine
     result = build_result(outcome, og.Verdict)
     assert headline(result).startswith("The bars of leg y are 0.9")
     assert "With the joint offsets and leg lengths corrected" in headline(result)
+    (zeros,) = (action for action in result.actions if action.kind == "zeros")
+    assert f"{zeros.words}." in headline(result)
     uncertain = replace(outcome.after, covariance=4e-7 * np.eye(len(outcome.after.names)))
     assert not fitted_beyond_tolerance(uncertain)
     (note,) = (note for note in notes(uncertain) if note.startswith("leg length"))

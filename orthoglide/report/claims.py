@@ -54,12 +54,12 @@ def claims(result: Result) -> list[Claim]:
     return [*finding_claims, *(_change_claim(change, option) for change in result.moved)]
 
 
-def claims_text(ordered_claims: Iterable[Claim]) -> str:
-    """Return claims as sentences, each with its most probable alternatives and the number of
-    others.
+def found_text(result: Result) -> str:
+    """Return what was found as sentences, each claim with its most probable alternatives and the
+    number of others; after `identify` also the zeros to be entered.
     """
     sentences: list[str] = []
-    for k, claim in enumerate(ordered_claims):
+    for k, claim in enumerate(claims(result)[: len(result.effects) + len(result.located)]):
         first = claim.first.brief or claim.first.words
         sentences.append(f"Besides, {lower_first(first)}" if k else first)
         sentences += (
@@ -74,6 +74,11 @@ def claims_text(ordered_claims: Iterable[Claim]) -> str:
         if claim.rivals:
             sentences.append("These readings cannot tell which.")
         sentences += [claim.note] if claim.note else []
+    if result.word == "partial":
+        sentences.append(SOMETHING_ELSE_WRONG)
+    # Errors of the zeros are among what `identify` was asked for, and are no cause of their own.
+    if not (result.searches or result.firmware):
+        sentences += (sentence(one.words) for one in result.actions if one.kind == "zeros")
     return " ".join(sentences)
 
 

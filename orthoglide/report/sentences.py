@@ -11,7 +11,7 @@ from orthoglide.geometry import LEGS
 from orthoglide.notes import Note
 from orthoglide.numerals import compact, distinct_figures, probability, with_sigma
 from orthoglide.observations.approach import APPROACH_NOT_RECORDED, APPROACH_REMEDY
-from orthoglide.report.claims import SOMETHING_ELSE_WRONG, claims, claims_text
+from orthoglide.report.claims import found_text
 from orthoglide.report.rows import base_effects, improvement_words, unseen_effects_text
 from orthoglide.result import Action, Change, Result
 from orthoglide.text import listed, lower_first, sentence
@@ -77,9 +77,7 @@ def claim_text(result: Result) -> str:
 def finding_text(result: Result) -> str:
     """Return the finding without changes between files, in sentences."""
     if result.found:
-        more = f" {SOMETHING_ELSE_WRONG}" if result.word == "partial" else ""
-        count = len(result.effects) + len(result.located)
-        return f"{claims_text(claims(result)[:count])}{more}"
+        return found_text(result)
     if result.word == "unexplained":
         text = f"{_unexplained_text(result)}{largest_residual_text(result)}"
         noisy = " ".join(map(sentence, result.scattering))
