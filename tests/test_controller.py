@@ -477,7 +477,7 @@ def test_a_delta_is_called_what_it_is(tmp_path: Path) -> None:
 
 def test_a_file_without_a_calibration_promises_nothing() -> None:
     found = compensate(Machine.nominal(), circle(4))
-    assert "nothing is known of how near" in str(found)
+    assert "the accuracy of these commands is unknown" in str(found)
     assert "expect" not in str(found)
     rows = list(csv.DictReader(io.StringIO(commands_text(found))))
     assert {row["expected_mm"] for row in rows} == {""}

@@ -410,8 +410,10 @@ def test_a_part_that_shrank_does_not_turn_the_rods_the_wrong_way() -> None:
     assert corrections is not None
     assert not corrections.keep
     assert arms_of(corrections) == pytest.approx([215.0] * 3, abs=0.7)
-    why = "make the rods longer, as the heights ask, and no distance does: measure a rod first"
-    assert re.search(rf"{why}; along the plate 0\.2\d ± 0\.2\d mm are gained", corrections.words)
+    why = "which only the heights suggest and no distance confirms: measure a rod first"
+    assert re.search(
+        rf"rods longer, {why}; along the plate 0\.2\d ± 0\.2\d mm are gained", corrections.words
+    )
 
 
 def test_a_part_of_metal_says_how_long_the_rods_are() -> None:

@@ -295,7 +295,10 @@ def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances
         ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
         ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
     )
-    assert "make the rods shorter, as the heights ask, and no distance does: measure" in words
+    assert (
+        "make the rods shorter, which only the heights suggest and no distance confirms: measure"
+        in words
+    )
     assert "as the distances say" not in words
 
 

@@ -45,8 +45,8 @@ NOT_COVERED = (
 _ERROR_COLUMNS = ("residual_mm", "shape_mm", "place_mm", "expected_mm", "uncompensated_mm",
          "uncompensated_shape_mm")  # fmt: skip
 _NO_UNCERTAINTY = (
-    "the machine file says nothing of how well its parameters are known, and so nothing is known "
-    "of how near these commands bring the real machine: give the calibrated.toml of a result"
+    "the machine file states no uncertainty of its parameters, so the accuracy of these commands "
+    "is unknown: give the calibrated.toml of a result"
 )
 _STROKE_MARGIN = 0.02  # metres, more than any effect moves a command
 
@@ -64,8 +64,8 @@ class Compensation(Framed):
         predicted: TCP that the commands reach on this machine ``(n, 3)``, metres.
         uncompensated: TCP ``(n, 3)`` that the nominal machine's commands would reach, metres.
         shape_sigma: standard deviation of the TCP along each base axis ``(n, 3)``, metres, after
-            the best translation over the workspace; from the covariance of the parameters, nan
-            where the machine file states none.
+            the best translation over the workspace; from the covariance of the parameters, or from
+            their standard deviations if there is none; nan if the machine file states neither.
         place_sigma: standard deviation of that translation ``(3,)``, metres.
         independent: whether the parameters were assumed to be independent.
         legs: names of the legs.
@@ -100,9 +100,10 @@ class Compensation(Framed):
 
     @property
     def columns(self) -> dict[str, list[Any]]:
-        """A row a point: the point, the commands as the controller counts them (and the
-        Orthoglide's as joint coordinates), how each drive arrives, and what to expect, in
-        millimetres.
+        """Columns of a table with one row per point, by name: the wanted point; the commands (of
+        the Orthoglide also as joint coordinates); for a delta, the point that its controller
+        computes; the direction in which each drive arrives, +1 or -1; standard deviations along the
+        axes; and the expected errors. Lengths are in millimetres.
         """
         legs = self.legs.legs
         errors = [self.residual, self.shape, np.full(len(self), self.place), self.accuracy]
@@ -110,7 +111,7 @@ class Compensation(Framed):
         groups: dict[tuple[str, ...], Array] = {
             POINT.names(): self.wanted * 1e3,
             native_command_names(self.legs): self.rho * 1e3,
-            TRAVEL.names(legs): self.travel * 1e3,  # the same columns on other layouts
+            TRAVEL.names(legs): self.travel * 1e3,  # replaces rho on other layouts
             **({} if self.sent is None else {PLACE.names(): self.sent * 1e3}),
             APPROACH.names(legs): self.approach,
             tuple(f"sigma_{axis}_mm" for axis in LEGS): self.shape_sigma * 1e3,
@@ -154,8 +155,8 @@ class Compensation(Framed):
             return "\n".join([f"{len(self)} points", _NO_UNCERTAINTY, *_GENERAL_NOTES])
         before, shape = self.shape_before * 1e3, self.shape * 1e3
         method = (
-            "from the parameters' sigmas, taken for independent; values that the readings only "
-            "see together make this too large"
+            "from the parameters' standard deviations, taken as independent; this is too large if "
+            "the readings determine some parameters only together"
             if self.independent
             else "from the parameters' covariance"
         )
@@ -208,11 +209,11 @@ def compensate(
         warming: kelvin above the calibration's first reading, a number or ``(n,)``.
         load: newtons at the TCP along base -z, a number or ``(n,)``.
         resolution: of the commands, metres.
-        force: compensate whatever the verdict that is kept with the machine says.
+        force: compensate even if the verdict stored with the machine advises against it.
 
     Raises:
-        InputError: where that verdict says not to act on the machine's numbers, for points that
-            are not numbers.
+        InputError: if that verdict says not to act on the machine's numbers, or if a point is not
+            finite.
         UnreachableError: naming the row of the first point outside reach or stroke.
     """
     machine = checked_for_use(machine, force)

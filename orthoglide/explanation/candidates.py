@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from orthoglide.effects import Catalogue, Effect
 from orthoglide.effects.free_form import FreeForm
+from orthoglide.explanation.gains import explained_by_group
 from orthoglide.explanation.linear_model import (
     FREE_FORM_PRIOR,
     Group,
@@ -26,7 +27,6 @@ from orthoglide.explanation.linear_model import (
     left_singular,
     shrink_along,
 )
-from orthoglide.explanation.search import explained_by_group
 from orthoglide.fit import Estimate, Problem, with_effects_freed
 from orthoglide.fit.assembling import excited_effects
 from orthoglide.fit.least_squares import fitted_basis, linearise, whiten_and_project

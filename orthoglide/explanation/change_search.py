@@ -149,7 +149,8 @@ def _linear_model(
 
     The prior is a background of one standard deviation in every state, so that no group explains
     what is uncertain of the earlier machine. Its mean ``(P,)`` and a root of its covariance
-    ``(P, P)``, SI, come second and third.
+    ``(P, P)``, SI, come second and third. Noise is the less likely the larger it is, because it may
+    fit as well as several changes together.
     """
     count, c, scale = len(x), len(possible), problem.tolerance
     extended = replace(problem, unknowns=(*problem.unknowns, *possible))

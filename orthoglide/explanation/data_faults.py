@@ -77,7 +77,8 @@ class DataFindings:
     posterior: FullPosterior | None
     # faults that a cause of the machine may explain equally well
     ambiguous: frozenset[FaultKey] = frozenset()
-    # on faults that are more probable than not, but not certain enough to be corrected
+    # on too many slips, on a search that did not settle, on readings too many to be ranked, and on
+    # faults that are more probable than not, but not certain enough to be corrected
     notes: tuple[Note, ...] = ()
 
 
@@ -105,7 +106,8 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
-        if changes and misreading.fault is None:  # which may explain the readings without changes
+        # A misreading may explain the readings without changes.
+        if changes and misreading.fault is None:
             evidence = first.evidence - _prior_log_odds_against(changes)
             misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
@@ -166,15 +168,18 @@ def _prior_log_odds_against(changes: Sequence[Change]) -> float:
 
 
 def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> CredibleFaults:
-    """Return the data faults without those of lists of touches that are not of one plate and one
-    set of numbers: the difference of two lists is no fault of their touches.
+    """Return the data faults without those in lists of touches that differ at common places.
+
+    The difference of two lists is no fault of single touches. Faults of kind ``moved`` remain.
     """
     tables, spec = [factor.readings for factor in problem.factors], problem.machine.spec
     pairs = disagreements(spec.kinematics, tables, relative=spec.meshes_relative)
-    apart = {name for *names, _ in pairs for name in names}
-    if not apart:
+    contradicting = {name for *names, _ in pairs for name in names}
+    if not contradicting:
         return found
-    contradictory = np.concatenate([table.touching & (table.name in apart) for table in tables])
+    contradictory = np.concatenate(
+        [table.touching & (table.name in contradicting) for table in tables]
+    )
     certain = [f for f in found.certain if f.kind == "moved" or not contradictory[f.rows].any()]
     probable = [pair for pair in found.probable if not contradictory[pair[0].rows].any()]
     return found._replace(certain=certain, probable=probable)
@@ -217,7 +222,7 @@ def _unsettled_note() -> Note:
     """Return a note that the last round still found data faults."""
     return Note(
         f"the search for data faults stopped after round {_ROUNDS} before it had settled, so "
-        f"faults and causes named here may be wrong; correct in the file what is named, then "
+        f"faults and causes named here may be wrong; check the rows named, correct the file, then "
         f"close the loop again",
         "slip",
     )
@@ -254,12 +259,12 @@ def _with_tolerance_priors(problem: Problem) -> Problem:
 def _find_misreading(
     states: Sequence[FittedState], faults: Sequence[Fault], other_evidence: float = -np.inf
 ) -> Misreading:
-    """Return the misreading, among setups without a known one, that explains the readings clearly
-    better than they stand, if there is one.
+    """Return the misreading whose evidence clearly exceeds that of the readings as they stand, in
+    setups in which no misreading was found before. Its fault is ``None`` if there is none.
 
     Args:
-        states: the readings with each assumption of their noise. Smaller noise may belong to
-            readings in a wrong unit, and the noise assumed first to the corrected ones.
+        states: fit and posterior for each assumed noise. Readings in a wrong unit may have the
+            smaller noise, and the corrected readings the noise assumed first, so both are tried.
         faults: found so far.
         other_evidence: log evidence of another explanation of the readings.
     """
@@ -267,10 +272,10 @@ def _find_misreading(
     found = list[Misreading]()
     for base, posterior in states:
         rows = setups_to_reinterpret(base.problem, faults)
-        # Generated only if so many readings are ranked.
+        # A generator: it does no work if the readings are too many to be ranked.
         alternatives: Iterator[Fault] = alternative_readings(base.problem, rows)
-        # Without dials, larger noise of a few distances or touches would hide faults of single
-        # ones.
+        # Noisy setups are tried only where there are dials: among a few distances or touches,
+        # larger noise would hide faults of single readings.
         if rows:
             every = range(len(base.problem.setups))
             rows = setups_to_reinterpret(base.problem, faults, every)

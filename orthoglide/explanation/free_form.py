@@ -34,7 +34,7 @@ _LEAST_VISITS_BESIDE_JUMP = 2  # on either side, as of a knocked stand: a single
 _LEAST_WAVE = 5e-3  # metres: shortest period of a wave, the smallest common lead of a screw
 _LEAST_CYCLES = 2.0  # over the stroke: a longer wave is a curve
 _CYCLE_STEP = 0.1  # between the periods that are tried: a tenth of a peak's width
-_LEAST_CYCLE_DISTANCE = 0.002  # of two frequencies: an eightieth of a radian at the ends
+_LEAST_CYCLE_DISTANCE = 0.002  # of two frequencies: an eightieth of a radian from end to end
 _LEAST_WAVE_STATIONS = 6  # travels: fewer fit any wave with its level and a slope
 _MOST_WAVES = 3  # for each part, of the periods that explain most
 _DECIMALS = 4  # of travels, metres, and of moments, seconds, that count as different
@@ -123,11 +123,11 @@ def free_form_columns(
     fitted: Array,
     first: NDArray[np.intp] | None = None,
 ) -> tuple[Iterator[Array], tuple[FreeForm, ...]]:
-    """Return the columns ``(n, K)`` of each free-form error, by prior standard deviation, and all
-    of these errors.
+    """Return the columns ``(n, K)`` of each free-form error, scaled by its prior standard
+    deviation, and all of these errors.
 
     Readings under equal conditions have equal columns, except of errors that depend on time or on
-    the reading before. With ``first``, only the columns of these have all rows; all other columns
+    the reading before. With ``first``, only the columns of such errors have all rows; all others
     have the rows of ``first``.
 
     Args:

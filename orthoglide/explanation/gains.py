@@ -19,15 +19,15 @@ def explained_by_group(
 ) -> tuple[Array, Array]:
     """Return what each group explains of chi2, and half the log determinant, both ``(..., taus)``.
 
-    With noise as declared, half the first less the second is the log Bayes factor of the group.
+    At given scales of background and noise, ``explained / 2 - occam`` is the log Bayes factor.
 
     Args:
         gram: Gram matrices of the groups' columns ``(..., k, k)``.
         products: inner products of these columns and the residual ``(..., k)``.
         chi2_bound: upper bound of the squared residual, broadcast to ``(...)``.
         taus: scales of the slab, ascending.
-        least: what groups of more than two coefficients must explain at the last of these; others
-            explain minus infinity at all taus. Broadcast to ``(...)``.
+        least: chi2 that a group of more than two coefficients must explain at the largest tau; if
+            it explains less, minus infinity is returned at all taus. Broadcast to ``(...)``.
     """
     count, tau, along = products.shape[-1], np.array(taus), products[..., None] * np.array(taus)
     squares = gram.diagonal(axis1=-2, axis2=-1)[..., None] * tau**2

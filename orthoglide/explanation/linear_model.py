@@ -110,8 +110,8 @@ class LinearModel:
     # scale beyond which a background is unlikely, and the log of its prior weight
     wide_background: tuple[float, float] = (max(BACKGROUND_SCALES), 0.0)
     noise_weight: float = RARE_LOG_PRIOR  # log of the prior weight of noise larger than declared
-    # power of its ratio to the declared noise with which that weight falls: without repeats, larger
-    # noise is less likely
+    # power of its ratio to the declared noise with which that weight falls: 1 where no repeats show
+    # the noise, and in the search of changes
     noise_decay: float = 0.0
     station_remainder: StationRemainder = NO_REMAINDER
     max_active: int = 6  # active groups in one state: 9 changed no result

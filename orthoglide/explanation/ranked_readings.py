@@ -46,15 +46,17 @@ from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending, largest
 _PER_SELECTION = 3
 """Alternatives of each selection of backgrounds that are searched in full: 6 changed no result."""
 
-BACKGROUND_SCALES: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
+RANKING_BACKGROUNDS: Sequence[Scales] = ((0.1, 0.1), (0.01, 0.003), (1.0, 0.1), (1.0, 3.0))
 """Backgrounds under which misreadings of dials are ranked: a usual machine, a sound one, one off by
 all its tolerances, and one with free-form errors everywhere."""
 
 
 class Misreading(NamedTuple):
-    """The likeliest misreading, or that there is none."""
+    """The likeliest misreading, if there is one."""
 
-    evidence: float  # log evidence of the readings with the misreading, or as they stand
+    # log evidence of the readings with the misreading, its prior odds included; without a fault,
+    # the log evidence that a misreading had to exceed
+    evidence: float
     fault: Fault | None = None
     posterior: FullPosterior | None = None  # of the readings with the misreading corrected
 
@@ -65,7 +67,7 @@ def likeliest_misreading(
     alternatives: Iterable[Fault],
     rows_by_setup: RowsBySetup,
     other_evidence: float = -np.inf,
-    background_scales: Sequence[Scales] = BACKGROUND_SCALES,
+    background_scales: Sequence[Scales] = RANKING_BACKGROUNDS,
 ) -> Misreading:
     """Return the misreading, or the noisy setup, whose evidence exceeds that of the readings as
     they stand by `TWENTY_TO_ONE`.
@@ -97,7 +99,8 @@ def likeliest_misreading(
             other = posterior_at_base_fit(fit_nested(corrected))
         except NumericsError:
             continue
-        if other.mixture.probability_rare < EVEN_PROBABILITY:  # more noise explains anything
+        # Larger noise, or a background beyond all tolerances, explains any readings.
+        if other.mixture.probability_rare < EVEN_PROBABILITY:
             found = Misreading(other.evidence + alternative.log_odds, alternative, other)
             best = best_of((best, found), lambda one: one.evidence, LOG_ODDS_MARGIN)
     return best
@@ -187,9 +190,10 @@ def _rank(
     background_scales: Sequence[Scales],
     least: float,
 ) -> list[tuple[float, Fault]]:
-    """Return the alternative readings whose log odds against the readings as they stand exceed
-    ``least``, each after its log odds: the three likeliest over all backgrounds, and the three over
-    those without active groups; none of more than `MOST_RANKED_READINGS` readings.
+    """Return pairs of log odds over the readings as they stand and the alternative reading: the
+    three likeliest over all backgrounds, and the three likeliest over those without active groups.
+
+    Only log odds above ``least`` are returned, and none with over `MOST_RANKED_READINGS` readings.
     """
     model, problem = posterior.linearised, posterior.linearised.problem
     if len(problem.measured) > MOST_RANKED_READINGS or not (alternatives := [*alternatives]):

@@ -34,7 +34,7 @@ from orthoglide.explanation.linear_model import (
     scale_grid,
 )
 from orthoglide.explanation.pairs import NEGLIGIBLE_LOG_ODDS, PartialProducts, likely_pairs
-from orthoglide.explanation.sparse import sparse_sizes
+from orthoglide.explanation.sparse import sparse_prior_sd
 from orthoglide.fit.least_squares import rounding
 from orthoglide.geometry import Array
 from orthoglide.ordering import LOG_ODDS_MARGIN, best_of, descending, largest
@@ -115,9 +115,9 @@ class Search:
             self._climb_from(sparse)
 
     def _climb_from(self, state: State) -> None:
-        """Set the best state to the end of the way from a state to ever better ones.
+        """Climb from a state to better ones until there is none; the last one is the best state.
 
-        A state keeps the weight of its first visit, despite rounding, so the way ends.
+        The log weight of a visited state never falls, despite rounding, so the climb ends.
         """
         better: State | None = state
         while better is not None:
@@ -133,20 +133,19 @@ class Search:
         return None
 
     def _sparse_state(self) -> State:
-        """Return the groups of one coefficient that explain the readings together, at the declared
-        noise, without those that cost more than they explain.
-
-        Of several causes none may explain much by itself, and larger noise may explain as much as
-        any of them: a search that adds one or two at a time then goes astray.
+        """Return a state of groups with one coefficient that explain the readings together, at the
+        declared noise and the smallest background, beside the given groups, without those that cost
+        more than they explain. If several causes are active, each alone may explain little, and
+        larger noise as much: a search that adds one or two groups at a time goes astray.
         """
         declared = next(k for k, scale in enumerate(self.scales) if scale.noise == 0)
         taus, singles = np.array(self.linear.slab_scales), self._single_groups
         products = self._residual_products[declared, self._first_column[singles]]
-        size = sparse_sizes(self._crossed[declared], products, taus.max())
+        sd = sparse_prior_sd(self._crossed[declared], products, taus.max())
         found = dict.fromkeys(self._given_groups, float(taus.max()))
-        for k in descending(size)[: self.linear.max_active - len(found)]:
-            if size[k] > taus.min() / 2:
-                nearest = np.abs(np.log(taus / size[k])).argmin()
+        for k in descending(sd)[: self.linear.max_active - len(found)]:
+            if sd[k] > taus.min() / 2:
+                nearest = np.abs(np.log(taus / sd[k])).argmin()
                 found.setdefault(int(singles[k]), float(taus[nearest]))
         state = tuple(sorted(found.items()))
         while True:
@@ -237,7 +236,7 @@ class Search:
     def _expand(self, state: State) -> Array:
         partial = self._partial_products(state)
         weights = self._weights_by_scale(state, partial)
-        # Odds on a sound machine need all scales, as a given group does, however unlikely.
+        # The odds of a sound machine, and those of a given group, need all scales.
         is_complete = not state or bool(self._given_groups)
         explained, occam = self._gains(partial, None if is_complete else weights)
         table = explained / 2 - occam
@@ -246,8 +245,8 @@ class Search:
         return table
 
     def _weights_by_scale(self, state: State, partial: PartialProducts) -> Array:
-        """Return the log weights of a state ``(scales,)``, which from now on has been visited, and
-        at all scales, as groups added to it may have weight at any of them.
+        """Return the log weights of a state ``(scales,)``, finite at all scales, and keep them in
+        ``visited``. A group that is added later may have weight at any scale.
         """
         weights = self.visited.get(state)
         if weights is None or not np.isfinite(weights).all():
@@ -264,9 +263,9 @@ class Search:
     def _gains(self, partial: PartialProducts, weights: Array | None = None) -> tuple[Array, Array]:
         """Return what each group explains of chi2 beside the active ones, and its Occam factor.
 
-        Both ``(scales, groups, taus)``; the second is half the log determinant. If the log weights
-        without the groups ``(scales,)`` are given, groups of more than two coefficients explain
-        minus infinity where their weight is lost in rounding beside that of another.
+        Both are ``(scales, groups, taus)``; the second is half the log determinant. If the log
+        weights without the groups ``(scales,)`` are given, a group may explain minus infinity where
+        its weight would be lost in rounding beside that of a group with fewer coefficients.
         """
         taus = self.linear.slab_scales
         explained, occam = np.zeros((2, len(self.scales), len(self.linear.groups), len(taus)))

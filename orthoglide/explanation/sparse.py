@@ -11,13 +11,13 @@ from orthoglide.geometry import Array
 _ROUNDS = 40  # reweightings: with 200 the search ended at the same states
 
 _NEGLIGIBLE = 0.01
-"""Size of a column, in the largest slab, below which it is left out of further rounds: a third of
-the smallest slab."""
+"""Prior standard deviation, relative to the initial one, below which a coefficient is dropped: a
+third of the smallest slab scale."""
 
 
-def sparse_sizes(gram: Array, products: Array, largest: float) -> Array:
-    """Return the standard deviation of each coefficient that makes the residual likeliest ``(k,)``,
-    zero for most of them.
+def sparse_prior_sd(gram: Array, products: Array, initial_sd: float) -> Array:
+    """Return the prior standard deviations ``(k,)`` at which the residual is likeliest, most of
+    them zero.
 
     All coefficients start with a wide prior. Its variances are reweighted by the readings, and
     those of columns that others can replace fall toward zero (D. Wipf and S. Nagarajan, "Iterative
@@ -25,23 +25,23 @@ def sparse_sizes(gram: Array, products: Array, largest: float) -> Array:
 
     Args:
         gram: inner products of the whitened columns ``(k, k)``.
-        products: of the columns and the residual ``(k,)``.
-        largest: standard deviation to start with.
+        products: inner products of these columns and the whitened residual ``(k,)``.
+        initial_sd: standard deviation of every coefficient to start with.
     """
-    sizes, kept = np.zeros(len(products)), np.arange(len(products))
-    size = np.full(len(products), largest)
+    all_sd, kept = np.zeros(len(products)), np.arange(len(products))
+    sd = np.full(len(products), initial_sd)
     for _ in range(_ROUNDS):
         if not len(kept):
             break
-        scaled = size[:, None] * gram
-        covariance = scaled * size + np.eye(len(size))
+        scaled = sd[:, None] * gram
+        covariance = scaled * sd + np.eye(len(sd))
         root = np.linalg.cholesky(covariance + rounding(covariance))
-        whitened = solve_triangular(root, np.column_stack([scaled, size * products]), lower=True)
+        whitened = solve_triangular(root, np.column_stack([scaled, sd * products]), lower=True)
         remaining = np.diag(gram + rounding(gram)) - np.sum(whitened[:, :-1] ** 2, axis=0)
         along = products - whitened[:, -1] @ whitened[:, :-1]
-        size *= np.sqrt(np.abs(along) / np.sqrt(remaining))
-        needed = size > _NEGLIGIBLE * largest
-        size, kept, products = size[needed], kept[needed], products[needed]
+        sd *= np.sqrt(np.abs(along) / np.sqrt(remaining))
+        needed = sd > _NEGLIGIBLE * initial_sd
+        sd, kept, products = sd[needed], kept[needed], products[needed]
         gram = gram[np.ix_(needed, needed)]
-    sizes[kept] = size
-    return sizes
+    all_sd[kept] = sd
+    return all_sd

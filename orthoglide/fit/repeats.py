@@ -45,9 +45,10 @@ def readings_of_finest_step(
 
 
 def dial_steps(campaign: Readings, resolution: float) -> Array:
-    """Return the step of every reading's dial ``(n,)``, metres: its resolution, or a coarser step
-    of which all differences from the datum are multiples, in the campaign or in one setup whose
-    repeats show that it is not another unit.
+    """Return the step of every reading's dial ``(n,)``, metres: its resolution or a coarser step.
+
+    All differences from the first reading of each setup are multiples of a coarser step: in the
+    whole campaign, or in one setup whose repeats show that its readings are in no other unit.
     """
     steps = np.empty(len(campaign))
     setups = [campaign.setup == k for k in range(len(campaign.setups))]
@@ -163,14 +164,14 @@ def repeat_variance(campaigns: Sequence[Readings]) -> tuple[float, int]:
 
 
 def scatters_more(variance: Array, dof: Array, least: float) -> NDArray[np.bool_]:
-    """Return which setups scatter more than the others together ``(s,)``, fewer than half of them,
-    by an F test of the noisiest, then of the next.
+    """Return a mask ``(s,)`` of the setups that scatter more than all others, fewer than half of
+    them. The noisiest setup is compared with the pooled others by an F test, then the next.
 
     Args:
-        variance: of one reading, by the repeats of each setup ``(s,)``.
-        dof: degrees of freedom behind it ``(s,)``.
-        least: variance below which setups do not differ: repeats of some rounded readings are all
-            equal, those of others between two digits.
+        variance: of one reading, from the repeats of each setup ``(s,)``.
+        dof: degrees of freedom of each variance ``(s,)``.
+        least: lower limit of the pooled variance: repeats of rounded readings are all equal in some
+            setups, and change between two digits in others.
     """
     from scipy.special import fdtrc
 
@@ -244,14 +245,14 @@ _MIN_SURFACE_DOF = 12
 its relative standard deviation is one over the root of twice their number."""
 _OUTLIER_RATIO = 6.0  # height of an outlier over the scatter of all others
 _MAX_OUTLIER_SHARE = 0.05
-"""Share of a mesh: more are no single touches and no clip. At twice that, lobes of three of forty
-sound plates were taken for one."""
+"""Largest share of a mesh that may be outliers: a larger one is neither a speck nor a clip. With
+twice this share, lobes of three of forty sound plates were taken for a clip."""
 _PATCH_STARTS = 10  # heights, the furthest from the surface, from which a patch may grow
 NEIGHBOUR_DISTANCE = 1.6
 """Distance of neighbours, in distances of the nearest touch: includes a square's diagonal."""
 _GROWTH_COST = 2 * float(np.log(8))
-"""Chi2 that a patch must explain more for each further touch, as it is chosen from about eight
-neighbours; of noise alone, the nineteen that go best together explain 38."""
+"""Further chi2 that a patch must explain for each added touch, which is the best of about eight
+neighbours. In pure noise, the best patch of nineteen touches explains 38."""
 _MIN_ROUGHNESS = 1e-6  # metres: no plate is smoother
 
 
@@ -288,10 +289,11 @@ def roughness(xy: Array, height: Array, approach: Array) -> tuple[float, Array]:
 def _outlying_patch(
     fit: tuple[Array, Array, int], near: NDArray[np.bool_], count: int
 ) -> tuple[float, float, list[int]]:
-    """Return the neighbouring heights, ``count`` of them at most, that are most unlikely to be off
-    by one common error: its ratio to the scatter of all others, the error, and their rows.
+    """Return the patch of neighbouring heights, ``count`` of them at most, whose common error is
+    most significant: the ratio of that error to its standard deviation, less the cost of growth;
+    the error; and the rows of the patch.
 
-    A patch grows from one height by the neighbour that makes it most unlikely, while there is one.
+    A patch grows from one height by the neighbour that raises the ratio most, until none does.
     """
     basis, residual, dof = fit
 

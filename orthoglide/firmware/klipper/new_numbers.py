@@ -49,7 +49,7 @@ _ALONG_WEIGHT = 0.03
 """Weight of an error along the plate against one of height: layers of a print are a tenth of a
 millimetre high, and touches hardly determine the place of the tool along the plate."""
 
-_FITTED_COUNT = 6  # endstops, radius, and places of two towers
+_FITTED_COUNT = 6  # endstops, radius, and angles of two towers
 _RECALIBRATE_FIRST = "the firmware's own calibration has to be repeated first, as the report says"
 
 PoseFunction = Callable[[Array], tuple[Array, Array]]
@@ -112,7 +112,7 @@ def rejection_reason(
     """Return why new numbers are not to be entered; empty if they are better.
 
     They are better if they fit some readings better by more than chance, and none worse. A rise
-    that one reading causes alone, as a speck under a touch does, is none.
+    that a single reading causes, for example by a speck under a touch, does not count.
     """
     touches = sum(c.count for c in changes if c.kind == "heights")
     if touches <= _FITTED_COUNT:
@@ -200,9 +200,9 @@ def _firmware_points(numbers: Numbers, old: Numbers, command: Array) -> Array:
 def plate_heights(pose: PoseFunction, old: Numbers, touches: Readings) -> tuple[Array, Array]:
     """Return places ``(n, 2)`` and heights over z = 0 ``(n,)`` of a touched plate, metres.
 
-    The poses are those of a machine, or those of a firmware's equations. Where a probe touches, the
-    nozzle is lower by ``z_offset``. It was set in the middle, where the probe and then the nozzle
-    touched the same place.
+    The poses are those of a machine, or those of a firmware's equations. Where a probe
+    triggers, the nozzle is ``z_offset`` above the plate. This offset was set in the middle, where
+    the probe and then the nozzle touched the same place.
     """
     height = np.zeros(len(touches))
     p, up = pose(touches.command)

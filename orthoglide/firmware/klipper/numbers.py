@@ -153,8 +153,9 @@ class Numbers:
                 tower.fail(
                     "arm_length",
                     f"is {arms[k] * 1e3:g} mm, and that of tower {TOWERS[0]} {arms[0] * 1e3:g}: "
-                    f"arms of one machine are alike to a few millimetres; correct it, and where "
-                    f"DELTA_ANALYZE found it, look for a mistyped distance and run that again",
+                    f"arms of one machine differ by less than {100 * _MAX_ARM_DIFFERENCE:.0f} %; "
+                    f"correct it or, if DELTA_ANALYZE found it, correct the mistyped distance and "
+                    f"run DELTA_ANALYZE again",
                 )
             if arms[k] <= 1.02 * radius:
                 tower.fail(
@@ -211,11 +212,13 @@ def unequal_arms_warning(numbers: Numbers) -> str:
     if (spread := float(np.ptp(numbers.arm))) <= _EQUAL_ARMS:
         return ""
     arms = ", ".join(f"{v * 1e3:.3f}" for v in numbers.arm)
-    doubt = ", more than rods of one set do. Measure the rods before you trust any of its numbers"
+    is_large = spread > MAX_ROD_SPREAD
+    excess = ", more than rods of one set do" * is_large
+    remedy = " Measure the rods before you trust any number of this firmware." * is_large
     return (
-        f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm"
-        f"{doubt * (spread > MAX_ROD_SPREAD)}: they are taken as equal, of a free length, unless "
-        f"that is given under [measured] of the machine file."
+        f"The arms that the firmware stores ({arms} mm) differ by {spread * 1e3:.2f} mm{excess}. "
+        f"They are taken as equal, of a free length, unless that length is given under [measured] "
+        f"of the machine file.{remedy}"
     )
 
 
@@ -224,10 +227,10 @@ _HARDLY_LESS = 0.95  # share of a residual above which its fall is not worth tel
 CONFIG_FILE = "printer.cfg"
 PASTE_INSTRUCTIONS = (
     "Replace the values in the block below the header of SAVE_CONFIG (#*#) at the end of "
-    "printer.cfg, and leave #*# before every line; they have no effect while a line above that "
-    "header gives the same key: remove such lines, or put the new ones in their place. Then "
-    "RESTART, run PROBE_CALIBRATE where the probe touches beside the nozzle, and probe the mesh "
-    "again (BED_MESH_CALIBRATE); DELTA_CALIBRATE would put numbers of its own in their place."
+    "printer.cfg, and leave #*# before every line. A line above that header overrides the same key "
+    "in the block, so remove such lines or change their values too. Then RESTART, run "
+    "PROBE_CALIBRATE if the probe touches beside the nozzle, and probe the mesh again "
+    "(BED_MESH_CALIBRATE). Do not run DELTA_CALIBRATE: it replaces the new numbers."
 )
 """How new numbers come into the file."""
 
@@ -299,7 +302,7 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     ]  # fmt: skip
     if abs(rod_change) > MAX_ROD_SPREAD:
         longer = "longer" if rod_change > 0 else "shorter"
-        why = "as the heights ask, and no distance does: measure a rod first"
+        why = "which only the heights suggest and no distance confirms: measure a rod first"
         if rods_measured:
             why = f"{np.mean(new.arm) * 1e3:.1f} mm, as was measured"
         elif "left_of_readings" not in record or any(rise < 0 for rise in rises):
@@ -311,7 +314,7 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
         along = f"; along the plate {with_sigma(*gain)} mm are gained" if gain else ""
         rods = f"; the new numbers make the rods {longer}, {why}{along}"
     elif not rods_measured and any(rise * 1e-3 > _MIN_SIZE_CONFLICT for rise in rises):
-        rods = "; by them the part, as if it shrank, has another size: measure a rod first"
+        rods = "; with them the distances fit worse, as if the part had shrunk: measure a rod first"
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
         rods += (
             f"; the new arms differ by {spread * 1e3:.2f} mm, more than rods of one set do: "
