@@ -84,7 +84,7 @@ def test_a_wrong_sign_is_found_beside_a_large_cause() -> None:
     assert verdict.effects[0].chosen.value == pytest.approx(6e-3, rel=0.1)
 
 
-@pytest.mark.parametrize("draw", [22, 7])
+@pytest.mark.parametrize("draw", [22, pytest.param(7, marks=pytest.mark.thorough)])
 def test_two_dials_with_each_others_label_are_no_exchange_of_commands(draw: int) -> None:
     """On worn machines, exchanged commands of both drives fit ten times better too."""
     rng = np.random.default_rng([9400, draw])
