@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.resources import files
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from pathlib import Path
 
 import numpy as np
@@ -185,3 +185,19 @@ def test_offsets_changed_in_the_controller_are_no_rail_that_moved() -> None:
     assert verdict.word == "unexplained"
     assert not verdict.changed
     assert not verdict.effects
+
+
+def test_a_small_change_that_repeats_show_is_one() -> None:
+    """Of 1.2 tolerances, and with an error of the dial as its rival at one visit."""
+    setups = [f"{leg}{axis}-0.5" for leg, axis in permutations("xyz", 2)]
+    rig = Rig(errors=ERRORS, screw_pitch=0.02)
+    rig = rig.with_background(np.random.default_rng(999), 0.02, setups)
+    later = replace(rig, errors={**rig.errors, "axis_tilt.x.z": 1.2e-3})
+    april, may = (
+        campaign_of(simulate(one, "standard", np.random.default_rng(seed)), name=name)
+        for one, seed, name in ((rig, 1, "april"), (later, 2, "may"))
+    )
+    verdict = og.close_loop([april, may], SHEET)
+    assert verdict.word == "explained"
+    (change,) = verdict.changed
+    assert {"axis_tilt.x.z", "rail_tilt.x.z"} == set(change.members)

@@ -25,7 +25,7 @@ from orthoglide.machine_file import (
     read_machine_file,
 )
 from orthoglide.observations import read_readings
-from orthoglide.observations.touched_plates import _note
+from orthoglide.observations.touched_plates import _note, disagreements
 from tests.command_line import run as call
 from tests.klipper_files import DATA
 
@@ -314,6 +314,22 @@ def sizes_told(verdict: og.Verdict) -> dict[str, float]:
     words = "".join(a.words for a in verdict.actions if "computes (" in a.words).replace("−", "-")
     found = re.findall(r"(radius|L|tower \w) ([-+][\d.]+)", words)
     return {name: float(value) for name, value in found}
+
+
+def test_a_hot_and_a_cold_plate_are_no_list_of_the_other_sign(tmp_path: Path) -> None:
+    """A bowl against a dome of equal height is explained by either."""
+    lists = []
+    for name, bowl, seed in (("hot", 0.1, 1), ("cold", -0.1, 2)):
+        x, y = SPOTS
+        z = bowl * (x**2 + y**2) / 0.09**2 + np.random.default_rng(seed).normal(0, 0.008, len(x))
+        rows = "".join(
+            "{:.4f},{:.4f},{:.4f}\n".format(*r) for r in zip(x * 1e3, y * 1e3, z, strict=True)
+        )
+        (tmp_path / f"{name}.csv").write_text(f"x,y,z\n{rows}")
+        lists += import_plates(tmp_path / f"{name}.csv", MACHINE).campaigns
+    ((*_, note),) = disagreements(MACHINE.kinematics, lists, relative=True)
+    assert re.search(r"cold.csv is a dome of 0\.(19|20|21) mm .* a hot and a\s+cold one", note)
+    assert "counts its heights downward, correct their sign" in note
 
 
 @pytest.mark.parametrize("tower", range(3))

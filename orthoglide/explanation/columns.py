@@ -64,7 +64,7 @@ _LARGEST_SURFACE_BACKGROUND = 0.1
 """Tolerances: largest usual background if only a surface was measured. A wider one fits any surface
 and excludes nothing. It is rare, and twice as rare if the surface is a plate of unknown shape."""
 
-_ENOUGH_REPEATS = 10
+ENOUGH_REPEATS = 10
 """Repeats that determine the noise: on ten degrees of freedom, half or twice the noise has odds of
 one to twenty."""
 
@@ -265,7 +265,7 @@ def _machine_model(
         for twin, factor in factors
     }
     groups, excited = build_groups(full_problem, base_count, readings.columns, errors, replacements)
-    enough_repeats = problem.repeat_count >= _ENOUGH_REPEATS
+    enough_repeats = problem.repeat_count >= ENOUGH_REPEATS
     linear = LinearModel(
         **vars(readings), fixed_sd=fixed_sd, free_form=np.arange(len(units)) >= len(sd),
         plate_shapes=plate_shapes, groups=groups,

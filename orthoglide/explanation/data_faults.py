@@ -30,6 +30,7 @@ from orthoglide.explanation.assumed_noise import (
 from orthoglide.explanation.base_fit import fit_nested
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.change_search import likeliest_changes, with_changes_separate
+from orthoglide.explanation.columns import ENOUGH_REPEATS
 from orthoglide.explanation.compression import MOST_RANKED_READINGS
 from orthoglide.explanation.corrections import with_faults_accounted_for
 from orthoglide.explanation.credible_faults import CredibleFaults, credible_faults
@@ -147,8 +148,8 @@ def _beside_changes(
     """Return the changes between visits, the fit with these parameters separate, its posterior, and
     the posterior without changes.
 
-    The search of changes assumes that everything else is off by its tolerances. With the background
-    and the noise that the readings show, the full model may need no change: its evidence decides.
+    The search of changes may take for a change what is noise larger than declared. Where no repeats
+    show the noise, the evidence of the full model must be larger with the changes too.
 
     Args:
         fit: of all readings, with one value of each parameter.
@@ -158,7 +159,8 @@ def _beside_changes(
     if changes := likeliest_changes(fit):
         base = fit_nested(with_changes_separate(fit.problem, changes))
         posterior = posterior_with_corrected_commands(base, earlier)
-        if posterior.evidence - _prior_log_odds_against(changes) > unchanged.evidence:
+        gain = posterior.evidence - unchanged.evidence - _prior_log_odds_against(changes)
+        if fit.problem.repeat_count >= ENOUGH_REPEATS or gain > 0:
             return changes, base, posterior, unchanged
     return [], fit, unchanged, unchanged
 

@@ -36,11 +36,12 @@ _LARGE_SHAPE, _MIN_SHAPE_RATIO = 4e-5, 3.0
 """Root mean square of differences beside a plane, metres, more than of any of those 17 pairs (0.032
 mm), and the ratio by which it falls if the places of a mirrored or turned list are corrected."""
 
+_OTHER_SIGN = "taken with heights of the other sign"
 _SYMMETRIES = {
     "mirrored in x": np.diag([-1.0, 1.0, 1.0]),
     "mirrored in y": np.diag([1.0, -1.0, 1.0]),
     "taken with x and y exchanged": np.eye(3)[[1, 0, 2]],
-    "taken with heights of the other sign": np.diag([1.0, 1.0, -1.0]),
+    _OTHER_SIGN: np.diag([1.0, 1.0, -1.0]),
     **{
         f"turned by {angle} degrees": np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         for angle in (90, 120, 180, 240, 270)
@@ -188,8 +189,8 @@ def _symmetry_note(
     }
     agreeing = min(size / _MIN_SHAPE_RATIO, _LARGE_SHAPE)
     ways = [way for way, least in shapes.items() if least <= agreeing]
-    if not ways:
-        return None
+    if not ways or (ways == [_OTHER_SIGN] and _is_bowl(places, difference)):
+        return None  # a bowl against a dome may be another plate or radius as well
     return Note(
         f"{campaign.name}.csv and {other.name}.csv are not of one plate and one set of numbers: "
         f"beside a plane their heights differ by {plain(size * 1e3, 3)} mm rms, and by "
@@ -206,6 +207,19 @@ def _shape_size(places: Array, difference: Array) -> float:
     if len(places) < _MIN_SHAPE_PLACES:
         return np.inf
     return float(np.sqrt(np.mean(fit_plane(places, difference)[1] ** 2)))
+
+
+def _bowl(places: Array, difference: Array) -> Array:
+    """Return the bowl in a difference, over its middle ``(n,)``, metres."""
+    square = np.sum((places - places.mean(axis=0)) ** 2, axis=1)
+    bowl = fit_plane(places, square)[1]
+    return square * float(difference @ bowl) / max(float(bowl @ bowl), 1e-12)
+
+
+def _is_bowl(places: Array, difference: Array) -> bool:
+    """Return whether a plane and a bowl explain most of a difference."""
+    shape, bowl = (fit_plane(places, h)[1] for h in (difference, _bowl(places, difference)))
+    return bool(np.var(shape - bowl) < _MAX_BESIDE_BOWL * np.var(shape))
 
 
 def _note(name: str, other: str, places: Array, difference: Array) -> Note | None:
@@ -233,17 +247,17 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
     toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
     higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
     if _upper_quartile(shape) > _MAX_SHAPE or not (higher or rise):
-        bowl = fit_plane(centred, np.sum(centred**2, axis=1))[1]
-        high = float(shape @ bowl) / max(float(bowl @ bowl), 1e-12) * np.sum(centred**2, axis=1)
         remedy = (
             "Leave the older of the two out, or probe it again; of a plate that was turned say by "
             "how much (turned_deg, or --turned NAME=DEGREES on import)"
         )
-        if np.var(shape - fit_plane(centred, high)[1]) < _MAX_BESIDE_BOWL * np.var(shape):
+        if _is_bowl(places, shape):
+            high = _bowl(places, shape)
             remedy = (
                 f"The plate of {name}.csv is a {'bowl' if high.max() > 0 else 'dome'} of "
                 f"{np.abs(high).max() * 1e3:.2f} mm against the other: of two plates, a hot and a "
-                f"cold one, or two radii of the firmware leave out the one that is not in use"
+                f"cold one, or two radii of the firmware leave out the one that is not in use; if "
+                f"one list counts its heights downward, correct their sign"
             )
         return Note(f"{statement}. {remedy}", "apart")
     move = PlateMove(f"{name}.csv", higher, rise, toward, "that of the other")
