@@ -46,6 +46,7 @@ from orthoglide.explanation.faults import (
 from orthoglide.explanation.full_posterior import (
     FullPosterior,
     full_posterior,
+    posterior_at_base_fit,
     posterior_with_corrected_commands,
 )
 from orthoglide.explanation.ranked_readings import Misreading, likeliest_misreading
@@ -103,14 +104,15 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
-        changes, base, first, unchanged = _beside_changes(fit, misreading.posterior)
+        changes, base, first = _beside_changes(fit, misreading.posterior)
         states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
         # A misreading may explain the readings without changes.
         if changes and misreading.fault is None:
             evidence = first.evidence - _prior_log_odds_against(changes)
-            misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
+            unchanged = fit, posterior_at_base_fit(fit)
+            misreading = _find_misreading([unchanged], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
         converged = None
         if misreading.fault is None and found.ambiguous and not found.certain:
@@ -144,9 +146,8 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
 
 def _beside_changes(
     fit: Estimate, earlier: FullPosterior | None
-) -> tuple[list[Change], Estimate, FullPosterior, FullPosterior]:
-    """Return the changes between visits, the fit with these parameters separate, its posterior, and
-    the posterior without changes.
+) -> tuple[list[Change], Estimate, FullPosterior]:
+    """Return the changes between visits, the fit with these parameters separate and its posterior.
 
     The search of changes may take for a change what is noise larger than declared. Where no repeats
     show the noise, the evidence of the full model must be larger with the changes too.
@@ -155,14 +156,14 @@ def _beside_changes(
         fit: of all readings, with one value of each parameter.
         earlier: posterior that is used again if it is of the same fit.
     """
-    unchanged = posterior_with_corrected_commands(fit, earlier)
     if changes := likeliest_changes(fit):
         base = fit_nested(with_changes_separate(fit.problem, changes))
         posterior = posterior_with_corrected_commands(base, earlier)
-        gain = posterior.evidence - unchanged.evidence - _prior_log_odds_against(changes)
-        if fit.problem.repeat_count >= ENOUGH_REPEATS or gain > 0:
-            return changes, base, posterior, unchanged
-    return [], fit, unchanged, unchanged
+        evidence = posterior.evidence - _prior_log_odds_against(changes)
+        shown_by_repeats = fit.problem.repeat_count >= ENOUGH_REPEATS
+        if shown_by_repeats or evidence > posterior_at_base_fit(fit).evidence:
+            return changes, base, posterior
+    return [], fit, posterior_with_corrected_commands(fit, earlier)
 
 
 def _prior_log_odds_against(changes: Sequence[Change]) -> float:
