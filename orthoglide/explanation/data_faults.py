@@ -177,12 +177,10 @@ def _without_contradictory_lists(problem: Problem, found: CredibleFaults) -> Cre
     """
     tables, spec = [factor.readings for factor in problem.factors], problem.machine.spec
     pairs = disagreements(spec.kinematics, tables, relative=spec.meshes_relative)
-    contradicting = {name for *names, _ in pairs for name in names}
-    if not contradicting:
+    names = {name for *pair, _ in pairs for name in pair}
+    if not names:
         return found
-    contradictory = np.concatenate(
-        [table.touching & (table.name in contradicting) for table in tables]
-    )
+    contradictory = np.concatenate([table.touching & (table.name in names) for table in tables])
     certain = [f for f in found.certain if f.kind == "moved" or not contradictory[f.rows].any()]
     probable = [pair for pair in found.probable if not contradictory[pair[0].rows].any()]
     return found._replace(certain=certain, probable=probable)

@@ -221,7 +221,7 @@ class Observation(ABC):
     setup_columns: ClassVar[tuple[str, ...]] = TOOL_OFFSET_COLUMNS
     min_postures: ClassVar[int] = 1  # distinct postures that a setup needs
     nuisance_count: ClassVar[int]  # number `K` of nuisance parameters of a setup
-    drifting_count: ClassVar[int] = 9  # of the first of them, that a drift changes evenly; or all
+    drifting_count: ClassVar[int] = 9  # how many of them, from the first, may drift: here all
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -49,8 +49,8 @@ _SYMMETRIES = {
     },
 }
 """What the first of two lists may be, with the matrix from its points to those of the other, points
-being rows: other orders of rows and columns of a grid, a sign of heights that counts the plate's
-hollows up, turns of the towers' names or of a plate, counter-clockwise from above."""
+being rows: other orders of rows and columns of a grid, heights counted downward, and turns of the
+towers' names or of a plate, counter-clockwise from above."""
 
 _MAX_BESIDE_BOWL = 0.1  # share of a difference's variance that a bowl may leave unexplained
 _MIN_SMOOTHED = 12  # places for a surface of second order: twice its unknowns
@@ -60,9 +60,9 @@ _MIN_REFERENCE, _MAX_JUDGED = 20, 30
 """Touches of a list to which shorter ones are compared, twice the unknowns of its surface, and
 those from which a list has a surface of its own that shows a wrong touch."""
 _MIN_JUDGED = 7  # touches that show a wrong one: three more than a bowl has unknowns
-_MIN_FREE = 0.1  # share: an error in the middle, all but a bowl, is not told from one
+_MIN_FREE = 0.1  # share of an error that a bowl must leave: one in the middle looks like a bowl
 _OUTLIER_RATIO = 6.0  # distance of a wrong touch over the scatter of all others
-_USUAL_COUNT = 3  # pseudo-residuals of the usual noise, for few others
+_USUAL_COUNT = 3  # residuals of the usual noise that count as well, as the others may be few
 
 
 @dataclass(frozen=True)

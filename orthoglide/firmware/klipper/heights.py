@@ -156,7 +156,7 @@ def _positions(numbers: Numbers, way: Array) -> Array:
 
 
 def _inside(numbers: Numbers, p: Array) -> NDArray[np.bool_]:
-    """Return which of ``(n, k, 3)`` lie between the towers; outside, wrong steps fit heights."""
+    """Return a mask ``(n,)`` of positions between towers: beyond, heights fit wrong steps too."""
     return np.asarray(np.hypot(*p[..., :2].T).max(axis=0) <= numbers.delta_radius)
 
 
