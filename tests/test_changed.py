@@ -201,3 +201,20 @@ def test_a_small_change_that_repeats_show_is_one() -> None:
     assert verdict.word == "explained"
     (change,) = verdict.changed
     assert {"axis_tilt.x.z", "rail_tilt.x.z"} == set(change.members)
+
+
+def test_a_calibration_that_left_something_unexplained_is_no_prior() -> None:
+    """What its model lacked is in its values, so that changes from them are no changes."""
+    wrong = {f"{name}.{leg}": 1e-3 for name in ("joint_offset", "leg_length") for leg in "xyz"}
+    known = SHEET.with_parameters(wrong, dict.fromkeys(wrong, 1e-5))
+    known = known.with_provenance({"verdict": "partial"})
+    today = measured(ERRORS, 1, "today", kind="standard")
+    found, afresh = og.close_loop([today], known), og.close_loop([today], SHEET)
+    assert found.word == afresh.word == "adequate"
+    assert not found.changed
+    for name, value in afresh.machine.values.items():
+        assert found.machine.values[name] == pytest.approx(value, abs=1e-7)
+    (note,) = (w for w in found.warnings if "left something unexplained" in w)
+    assert "run orthoglide check" in note
+    explained = og.close_loop([today], known.with_provenance({"verdict": "explained"}))
+    assert explained.changed

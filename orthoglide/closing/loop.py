@@ -31,7 +31,7 @@ from orthoglide.explanation.identifying import identify
 from orthoglide.explanation.lack_of_fit import SIGNIFICANT, estimate_lack_of_fit
 from orthoglide.explanation.linear_model import SLAB_SCALES
 from orthoglide.explanation.ranked_readings import check_drive_order
-from orthoglide.explanation.recalibration import account_for_changes, ambiguity_clause
+from orthoglide.explanation.recalibration import account_for_changes, doubt_of_earlier
 from orthoglide.fit import Estimate, assemble, refit_with_residual_noise, solve
 from orthoglide.fit.crosscheck import verify
 from orthoglide.fit.plausible import check_plausible
@@ -94,11 +94,10 @@ def compute_outcome(request: Request, progress: Progress = no_progress) -> RunOu
     )
     change_notes = (Note(text, "earlier") for c in earlier_changes if (text := c.found_only_now))
     notes = [*change_notes, *findings.notes]
-    clause = ambiguity_clause(machine.spec)
-    if clause and base_fit.problem.has_earlier_calibration:
+    if doubt := doubt_of_earlier(base_fit.problem):
         notes.append(Note(
-            f"the earlier calibration {clause}, so changes since then are uncertain; run "
-            f"orthoglide check on the readings of both visits, with the machine file of the first",
+            f"the earlier calibration {doubt}; run orthoglide check on the readings of both "
+            f"visits, with the machine file of the first",
             "earlier",
         ))  # fmt: skip
     progress(Step("verifying"))

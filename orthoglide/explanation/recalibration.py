@@ -35,13 +35,27 @@ _AMBIGUITY_CLAUSES = {
 }
 
 
-def ambiguity_clause(spec: MachineFile) -> str:
+def _ambiguity_clause(spec: MachineFile) -> str:
     """Return a clause on what an earlier calibration left ambiguous; empty if nothing."""
     for key, words in _AMBIGUITY_CLAUSES.items():
         ambiguous = spec.provenance.get(key, ())
         if isinstance(ambiguous, Sequence) and ambiguous:
             return words.format(", ".join(map(str, ambiguous)))
     return ""
+
+
+def doubt_of_earlier(problem: Problem) -> str:
+    """Return a clause on why changes since an earlier calibration are uncertain or not searched
+    for; empty if there is no reason.
+    """
+    spec = problem.machine.spec
+    if spec.is_inconclusive:
+        return (
+            "left something unexplained, so its values are taken for no more than a start, and "
+            "changes since then are not searched for"
+        )
+    clause = _ambiguity_clause(spec) if problem.has_earlier_calibration else ""
+    return f"{clause}, so changes since then are uncertain" if clause else ""
 
 
 def account_for_changes(estimate: Estimate, method: Method = "auto") -> Estimate:
@@ -146,7 +160,7 @@ def _with_both_values(
     """
     problem, parameter, catalogue = fit.problem, change.parameter, change.catalogue
     spec, last = problem.machine.spec, problem.factors[problem.last_factor_index]
-    vague = bool(ambiguity_clause(spec)) and catalogue.effect_of(parameter).controller != "zero"
+    vague = bool(_ambiguity_clause(spec)) and catalogue.effect_of(parameter).controller != "zero"
     unseen = 0.0
     if parameter in earlier.names:
         summed = change.summed_members

@@ -76,10 +76,10 @@ def assemble(
     if tool_only:
         rms = rms_noise([f.readings for f in factors], [f.noise.total for f in factors])
         summary = replace(summary, typical=rms)
-    posterior = machine.posterior  # without sigmas in the machine file it is no information
+    prior = machine.spec.prior  # without sigmas in the machine file it is no information
     return build_problem(
         machine, factors, free, summary, per_campaign=per_campaign, priors=priors, bounds=bounds,
-        earlier_posterior=posterior if priors and np.diag(posterior.covariance).any() else None,
+        earlier_posterior=prior if priors and np.diag(prior.covariance).any() else None,
     )  # fmt: skip
 
 

@@ -73,7 +73,7 @@ class Problem:
     @property
     def has_earlier_calibration(self) -> bool:
         """Whether an earlier calibration is known, from which the machine may have changed."""
-        return self.earlier_posterior is not None and not self.machine.spec.is_measured
+        return self.earlier_posterior is not None and self.machine.spec.is_calibrated
 
     def with_leg_factors(self, leg_factors: Sequence[Factor]) -> Problem:
         """Return the problem with its tables of readings on legs replaced by as many others."""
@@ -231,7 +231,7 @@ class Problem:
         their values are no news, however far beyond their tolerances, nor are located sizes.
         """
         earlier = self.earlier_posterior
-        known = () if earlier is None or self.machine.spec.is_measured else earlier.names
+        known = earlier.names if earlier and self.machine.spec.is_calibrated else ()
         return np.array([n in known or n.member == "size" for n in self.names], dtype=bool)
 
     def is_implausible(self, x: Array, margin: Array | float = 0.0) -> NDArray[np.bool_]:

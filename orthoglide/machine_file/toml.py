@@ -81,7 +81,7 @@ def read_machine_file(
         posterior = parse_posterior(files.read_bytes(beside), digest, printable_path(beside))
     warnings = machine.stiffness.warnings(machine.file)
     has_sigmas = any(entry.sigma for entry in machine.parameters.values())
-    if posterior is None and not machine.is_measured and has_sigmas:
+    if posterior is None and machine.is_calibrated and has_sigmas:
         warnings += (Note(
             f"{machine.file}: there is no {printable_path(beside.name)} beside it with the "
             f"covariance of its parameters: their sigmas are taken as independent",
