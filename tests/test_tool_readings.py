@@ -362,11 +362,20 @@ def test_a_ball_below_the_plane_of_a_circle() -> None:
 
 
 def test_lengths_that_hardly_vary_are_in_another_unit() -> None:
-    """In metres the lengths of a bar on its sphere vary by micrometres, which fits any machine."""
+    """In metres the lengths of a bar on its sphere vary by micrometres, which fits any machine, but
+    not at that distance from the ball.
+    """
     folder = Path(__file__).parent / "data" / "former" / "campaigns"
     machine = Machine.load(folder / "orthoglide.toml")
     (campaign,) = read_readings(folder / "orthoglide-ballbar.csv", machine)
     metres = replace(campaign, reading=campaign.reading * 1e-3)
-    with pytest.raises(InputError, match=r"vary by less than 0\.01 mm.*seem to be in metres"):
+    with pytest.raises(InputError, match=r"multiplied by 1000, so they seem to be in metres"):
         og.identify(metres, machine)
     og.identify(campaign, machine)
+
+
+def test_lengths_of_a_machine_far_from_nominal_are_in_no_other_unit() -> None:
+    """Made smaller, the nearly equal lengths of a ball bar leave less of any error."""
+    stretched = MACHINE.with_parameters({"encoder_scale.a": 0.06})
+    found = og.identify(taken("ballbar", stretched), MACHINE, ["encoder_scale"], priors=False)
+    assert found.values["encoder_scale.a"] == pytest.approx(0.06, rel=0.01)

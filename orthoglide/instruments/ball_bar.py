@@ -23,7 +23,7 @@ from orthoglide.instruments.observation import (
     reading_point,
     vector,
 )
-from orthoglide.instruments.unit_mistakes import FACTORS, MIN_READINGS, unit_error, wrong_unit
+from orthoglide.instruments.unit_mistakes import wrong_unit
 from orthoglide.numerals import compact
 
 BALL_CENTRE_SD = 1e-2
@@ -36,7 +36,6 @@ _STEP_TOLERANCE = 1e-13  # metres
 _PLANARITY = 1e-2  # largest distance of points from their plane, over their extent
 _MIN_OFFSET_SQUARED = 0.25  # squared height over radius; errors of zeros cause less
 _CENTRE_PRIOR_WEIGHT = 5e-3  # weight of the initial centre: noise of 5 um against a millimetre
-_CONSTANT_SPAN = 1e-5  # metres
 _MIN_PLANE_DISTANCE = 0.1  # height of a ball above the plane of the points, over their extent
 
 
@@ -112,16 +111,11 @@ class BallBar(Observation):
             off = off_sphere(length)
             return np.asarray(off - off.mean())
 
+        # Nearly equal lengths fit in any unit, but at the wrong distance from the ball.
         value = readings.value
-        if error := wrong_unit(value, residual):
-            return error
-        if len(value) < MIN_READINGS or np.ptp(value) > _CONSTANT_SPAN:
-            return ""
-        # Deviations of a real machine are micrometres or more, but a constant fits in any unit.
-        # That is found from the offset of the bar's length.
-        span = f"{_CONSTANT_SPAN * 1e3:g} mm"
-        finding = f"vary by less than {span}, as those of no machine do, and are lengths"
-        return unit_error(np.array([abs(off_sphere(f * value).mean()) for f in FACTORS]), finding)
+        return wrong_unit(value, residual) or wrong_unit(
+            value, lambda v: off_sphere(v).mean(keepdims=True)
+        )
 
 
 def estimate_sphere_centre(p: Array, distance: Array, initial: Array | None = None) -> Array:

@@ -31,13 +31,17 @@ FACTORS = np.array([1.0, *UNIT_MISTAKES])
 def wrong_unit(value: Array, residual: Callable[[Array], Array]) -> str:
     """Return a clause on the unit of lengths ``(m,)`` that fit only in another one, by their
     residuals ``(m,)``, metres; empty if they fit.
+
+    Readings that are made smaller must fit better than they are smaller: lengths that are nearly
+    equal, as those of a ball bar, leave less in any smaller unit.
     """
     if len(value) < MIN_READINGS:
         return ""
-    return unit_error(np.array([np.sqrt(np.mean(residual(f * value) ** 2)) for f in FACTORS]))
+    misfit = np.array([np.sqrt(np.mean(residual(f * value) ** 2)) for f in FACTORS])
+    return unit_error(misfit / np.minimum(FACTORS, 1.0))
 
 
-def unit_error(misfit: Array, finding: str = "") -> str:
+def unit_error(misfit: Array) -> str:
     """Return a clause on a mistaken unit, from the misfit by factor ``(factors,)``, metres; empty
     if the misfit is small, or no factor makes it small.
     """
@@ -45,10 +49,10 @@ def unit_error(misfit: Array, finding: str = "") -> str:
     if misfit[0] < MIN_MISFIT or misfit[best] > MAX_RESIDUAL_RATIO * misfit[0]:
         return ""
     factor, size = float(FACTORS[best]), compact(misfit[0] * 1e3, 2)
-    finding = finding or f"differ by {size} mm rms from those that this machine can give, and fit"
     return (
-        f"the readings {finding} once they are multiplied by {factor:.4g}, so they seem to be "
-        f"{UNIT_MISTAKES[factor]}: give millimetres"
+        f"the readings differ by {size} mm rms from those that this machine can give, and fit once "
+        f"they are multiplied by {factor:.4g}, so they seem to be {UNIT_MISTAKES[factor]}: give "
+        f"millimetres"
     )
 
 
