@@ -27,6 +27,9 @@ _NEWTON_THRESHOLD = 1e-7
 _ROUNDING_STEP = 1e-4  # a smaller step, times the rms residual, that no longer halves is rounding
 _COST_TOLERANCE = 1e-9  # a smaller relative fall of the cost is rounding
 _SLOW_RATIO = 0.3  # ratio of successive Gauss-Newton steps from which Newton's are tried
+_NEWTON_REACH = 3.0
+"""Standard deviations, by the residual, beyond which a Hessian predicts the cost no better than the
+Gauss-Newton step does: the line search shortens both, and a Hessian takes far longer."""
 
 
 def solve_nested(
@@ -38,8 +41,8 @@ def solve_nested(
     derivatives at every step, so the closed postures are no unknowns of the fit: time and memory
     grow linearly with the number of postures.
 
-    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly:
-    along weak directions the curvature of the model outweighs the readings.
+    Steps are Gauss-Newton's, or Newton's with differenced gradients where those converge slowly
+    near the minimum: along weak directions the curvature of the model outweighs the readings.
 
     Raises:
         SolverError: where the steps do not converge.
@@ -56,10 +59,11 @@ def solve_nested(
         information = equations.information[np.ix_(free, free)] * scale * scale[:, None]
         step[free] = scale * np.linalg.lstsq(information, descent, rcond=1e-14)[0]
         size = float(np.max(np.abs(step[free]) / scale, initial=0.0))
-        if min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous:
+        rms = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
+        is_slow = min(slope, size) > _NEWTON_THRESHOLD and size > _SLOW_RATIO * previous
+        if is_slow and (size < _NEWTON_REACH * rms or iteration > _MAX_STEPS / 2):
             step[free] = _newton_step(problem, nuisance, equations, free, scale)
             size = float(np.max(np.abs(step[free]) / scale))
-        rms = max(1.0, float(np.sqrt(equations.cost / len(problem.measured))))
         flat = slope <= _NEWTON_THRESHOLD and equations.cost > cost * (1 - _COST_TOLERANCE)
         stalled = size >= previous / 2 and (flat or size <= _ROUNDING_STEP * rms)
         if size <= _STEP_TOLERANCE or stalled:

@@ -95,10 +95,14 @@ def widen_priors(estimate: Estimate, method: Method = "auto") -> Estimate:
             for u, new_width, is_wider in zip(problem.unknowns, size, wider, strict=True)
         ]
         problem = replace(problem, unknowns=tuple(unknowns))
+        previous = estimate
         try:
             estimate = _fit_and_place(problem, method, estimate.x)
         except NumericsError:
             break
+        ratio = estimate.scores.chi2 / previous.scores.chi2
+        if estimate.sigma_scale != 1.0 and ratio > _MAX_CHI2_RATIO:
+            break  # the tolerances are not what these readings have wrong
     return estimate
 
 
