@@ -567,6 +567,32 @@ def test_lists_of_touches_are_readings_of_the_plate(file: str, count: int) -> No
         og.read_readings(OTHER / file, OTHER / "machine.toml")
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_a_plate_with_a_turned_up_rim_is_no_machine_out_of_square(
+    seed: int, tmp_path: Path
+) -> None:
+    """Carriage paths 11 mrad out of square explained it, and short links of 12 tolerances an
+    owner's, whose rods were to be entered 4 mm longer: neither has a rival of the plate.
+    """
+    rng, radius, step = np.random.default_rng(seed), 185.0, np.arange(-180.0, 181.0, 20.0)
+    x, y = (v.ravel() for v in np.meshgrid(step, step))
+    x, y = (v[np.hypot(x, y) < radius] for v in (x, y))
+    share, lobe = (x**2 + y**2) / radius**2, np.exp(-3j * np.deg2rad(79.0))
+    z = 0.12 * 4 * share * (share - 1) + 0.11 * (((x + 1j * y) / radius) ** 3 * lobe).real
+    table = np.column_stack([x, y, z + rng.normal(0, 0.02, len(z))])
+    file = tmp_path / "bed.csv"
+    np.savetxt(file, table, "%.3f", ",", header="x,y,z", comments="")
+    layout = "kind = 'linear-delta'\nradius_mm = [259.0, 259.0, 259.0]\n"
+    machine = parse_machine_file(
+        "schema = 1\n[geometry_mm]\nL = 440.0\nd = 50.0\nr = 32.0\nstroke = [-250.0, 450.0]\n"
+        f"[layout]\n{layout}tool_mm = [0.0, 0.0, -40.0]\n"
+    )
+    verdict = og.close_loop(og.import_plates(file, machine).campaigns, og.Machine(machine))
+    assert not [c.name for c in verdict.effects if not c.name.startswith("plate_")]
+    assert "a hollow 0.1" in str(verdict)
+    assert {action.kind for action in verdict.actions} <= {"measure", "confirm", "mend"}
+
+
 @pytest.mark.parametrize(
     ("file", "said"),
     [
