@@ -12,6 +12,7 @@ import pytest
 import orthoglide as og
 from orthoglide.add_ons import Corrections
 from orthoglide.firmware.klipper import Imported
+from orthoglide.firmware.klipper.new_numbers import distances_ask_for_rods
 from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 from orthoglide.report.claims import claims
 from orthoglide.report.sentences import headline
@@ -408,12 +409,23 @@ def test_a_part_that_shrank_does_not_turn_the_rods_the_wrong_way() -> None:
     verdict = closed("print-shrunk-with-mesh", "printer.cfg")
     corrections = verdict.corrections
     assert corrections is not None
-    assert not corrections.keep
-    assert arms_of(corrections) == pytest.approx([215.0] * 3, abs=0.7)
-    why = "which only the heights suggest and no distance confirms: measure a rod first"
+    assert [new == old for name, old, new in corrections.rows if "arm_length" in name] == [True] * 3
     assert re.search(
-        rf"rods longer, {why}; along the plate 0\.2\d ± 0\.2\d mm are gained", corrections.words
+        r"the heights alone ask for rods of 214\.\d mm, or the plate has lobes: arm_length stays "
+        r"until a rod is measured",
+        corrections.words,
     )
+
+
+@pytest.mark.parametrize(
+    ("file", "asked"),
+    [("rods-entered-4mm-short", True), ("print-shrunk-with-mesh", False),
+     ("distance-mistyped", False), ("sound-with-distances", False)],
+)  # fmt: skip
+def test_distances_ask_for_rods_beyond_the_usual_shrinkage(file: str, asked: bool) -> None:
+    found = og.import_printer(FIELD / file / "printer.cfg")
+    numbers = found.machine.printer.numbers
+    assert distances_ask_for_rods(numbers, found.campaigns) == asked
 
 
 def test_a_part_of_metal_says_how_long_the_rods_are() -> None:

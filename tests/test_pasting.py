@@ -290,16 +290,12 @@ def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() ->
     assert "the residual of heights over the plate changes from 0.003 to 0.002 mm rms" in words
 
 
-def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances() -> None:
-    words = words_with_shorter_rods(
-        ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
-        ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
-    )
-    assert (
-        "make the rods shorter, which only the heights suggest and no distance confirms: measure"
-        in words
-    )
-    assert "as the distances say" not in words
+@pytest.mark.parametrize(("rods", "said"), [(0.3419, True), (0.3452, False), (0.0, False)])
+def test_rods_that_heights_alone_ask_for_are_to_be_measured(rods: float, said: bool) -> None:
+    left = [ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5)]
+    record = make_record(NUMBERS, NUMBERS, left, "", False, (), rods)
+    words = corrections_of(NUMBERS, record).words
+    assert ("the heights alone ask for rods of 341.9 mm, or the plate has lobes" in words) == said
 
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
