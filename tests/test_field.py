@@ -16,7 +16,8 @@ from orthoglide.firmware.klipper.new_numbers import distances_ask_for_rods
 from orthoglide.machine_file import Controller, machine_text, parse_machine_file
 from orthoglide.report.claims import claims
 from orthoglide.report.sentences import headline
-from tests.klipper_files import imported
+from tests.klipper_files import imported, simulated_cfg
+from tests.rig_delta import DeltaRig
 from tests.studied import studied
 
 FIELD = Path(__file__).parent / "data" / "field"
@@ -577,6 +578,33 @@ def test_lists_of_touches_are_readings_of_the_plate(file: str, count: int) -> No
     assert int(readings.touching.sum()) == len(readings) == count
     with pytest.raises(og.FileError, match=f"import plates {OTHER / file} --machine FILE"):
         og.read_readings(OTHER / file, OTHER / "machine.toml")
+
+
+def test_a_probe_that_moved_is_one_rival_wherever_it_began(tmp_path: Path) -> None:
+    """Of nine explanations of an owner's mesh, seven were one move that began at other lines."""
+    found = imported(tmp_path, simulated_cfg(DeltaRig(), noise=1.5e-5, lobes=5e-5))
+    (readings,) = found.campaigns
+    x = np.array([float(place.split()[0]) for place in readings.posture]) / 120
+    late = np.arange(len(x)) >= len(x) // 3
+    moved = replace(readings, reading=readings.reading - late * 4e-5 * (1 + x))
+    (cause,) = studied([moved], og.Machine(found.machine)).effects
+    (rival,) = [rival for rival in cause.data if rival.data == "moved"]
+    assert re.search(r"it may begin at any line from 1\d to 1\d$", rival.words)
+    assert "or the plate is bent along a line there" in rival.words
+
+
+def test_a_touch_off_a_small_mesh_is_told_by_its_side(tmp_path: Path) -> None:
+    """An owner was sent to notes that no firmware keeps, for a reading that no file shows."""
+    found = imported(tmp_path, simulated_cfg(DeltaRig(), count=5))
+    (readings,) = found.campaigns
+    row = readings.posture.index("120 0")
+    reading = readings.reading - np.where(np.arange(len(readings)) == row, 7e-4, 0.0)
+    verdict = studied([replace(readings, reading=reading)], og.Machine(found.machine))
+    text = " ".join([str(fault) for fault in verdict.blunders] + [
+        rival.words for cause in verdict.effects for rival in cause.data
+    ])  # fmt: skip
+    assert re.search(r"the touch here is 0\.[67]\d* mm above the surface of all others", text)
+    assert "notes" not in text
 
 
 @pytest.mark.parametrize("seed", range(2))
