@@ -570,3 +570,12 @@ def test_scatter_between_lists_is_no_move_of_a_plate(sd: float) -> None:
             kinds[note.kind] += 1
             assert (" lies " in note or " is tilted " in note) == (note.kind == "moved")
     assert kinds["apart"] > 5
+
+
+def test_a_small_tilt_between_lists_is_no_bowl() -> None:
+    """'The plate is a bowl of 0.00 mm against the other', of an owner's mesh and touches."""
+    places = np.array([[0.0, 0.0], [0.09, 0.0], [0.0, 0.09], [-0.08, 0.0]])
+    note = _note("a", "b", places, places @ [8e-4, 0.0])
+    assert note is not None
+    assert "bowl" not in note
+    assert "Leave the older of the two out" in note
