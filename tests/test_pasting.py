@@ -24,6 +24,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.planning.instrument_choice import _proposals
 from orthoglide.report import report_files
+from orthoglide.result import Result
 from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -309,3 +310,18 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert text.startswith("Run DELTA_CALIBRATE")
     assert "Do not enter these numbers yet: the firmware's own calibration" in text
     assert "To paste" not in str(report_files(verdict)["report.html"])
+
+
+def test_numbers_that_the_verdict_forbids_are_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an unexplained residual they stood as *new*, above the sentence that forbids them."""
+    found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    assert "[printer] delta_radius" in str(verdict)
+    monkeypatch.setattr(Result, "stands", False)
+    said, page = str(verdict), str(report_files(verdict)["report.html"])
+    assert "Do not enter these numbers yet: a residual remains" in said
+    for text in (said, page):
+        assert "[printer] delta_radius" not in text
+        assert "tried" in text
