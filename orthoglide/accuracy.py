@@ -28,7 +28,7 @@ _SEQUENCE_STEPS = 1 / 1.2207440846 ** np.arange(1, 4)
 _DRAWS = 400  # machines drawn from the posterior
 _TRANSLATION_WEIGHT = 0.01  # weight of the common offset: it decides between equal shape errors
 _GAUSS_NEWTON_STEPS = 2  # enough for a problem that is nearly linear
-_MIN_SIGMAS = 2.0  # standard deviations by which an expected gain must exceed zero
+MIN_SIGMAS = 2.0  # standard deviations by which an expected gain must exceed zero
 
 
 def workspace_grid(geometry: Geometry, count: int = GRID, pitch: float | None = None) -> Array:
@@ -153,7 +153,7 @@ def lack_of_gain(gain: float, sigma: float) -> str:
         gain: expected decrease of the tool's error, metres.
         sigma: its standard deviation.
     """
-    if gain > _MIN_SIGMAS * sigma:
+    if gain > MIN_SIGMAS * sigma:
         return ""
     size = with_sigma(gain * 1e3, sigma * 1e3)
     return f"the expected gain, {size} mm, is below two standard deviations"

@@ -48,9 +48,10 @@ _OTHER_FILES = {  # of no machine: text that only such files contain, and what t
         "at X,Y is z=Z'), or write a table of x, y and z",
     ),
     "calibration log": (
-        r"\bG33 Auto Calibrat",
-        "is what Marlin's G33 prints, numbers that it found and no touches: probe the plate (G29 "
-        "V4), save its lines 'Bed X: Y: Z:' and read them by orthoglide import plates",
+        r"\bG33 Auto Calibrat|Calibrated \d+ factors\b|\bBed probe heights:",
+        "is what a calibration prints (Marlin's G33, RepRapFirmware's G32), numbers that it found "
+        "without places of touches: probe the plate (Marlin G29 V4, RepRapFirmware G29 S0), and "
+        "read the lines 'Bed X: Y: Z:' or heightmap.csv by orthoglide import plates",
     ),
 }  # fmt: skip
 _M665_WORD = r"^[^;\n]*\bM665\b[^;\n]*?\b{} *([-+]?[\d.,][\d.,:]*)"

@@ -35,7 +35,7 @@ WITH_MEMBERS = {
 }
 ON_PLATE = (
     "plate_bow.{}", "plate_trefoil.{}.cos", "plate_trefoil.{}.sin", "plate_saddle.{}.cos",
-    "plate_saddle.{}.sin",
+    "plate_saddle.{}.sin", "plate_ring.{}",
 )  # fmt: skip
 
 
@@ -223,7 +223,8 @@ class DeltaRig:
         """Height of a plate at a place, its shapes named over a radius."""
         u, v = x / radius, y / radius
         three, two = (u + 1j * v) ** 3, (u + 1j * v) ** 2
-        shapes = (abs(two), three.real, three.imag, two.real, two.imag)
+        ring = 4 * (abs(two) ** 2 - abs(two))  # zero in the middle and at the rim
+        shapes = (abs(two), three.real, three.imag, two.real, two.imag, ring)
         own = sum(
             self._e(key.format(name)) * value for key, value in zip(ON_PLATE, shapes, strict=True)
         )

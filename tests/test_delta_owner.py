@@ -191,7 +191,7 @@ def test_a_mesh_ends_in_a_class_and_in_numbers_for_the_firmware(
     assert calibrated.spec.provenance["klipper"]["delta_radius_mm"] == 162.820595
     exported = og.controller_numbers(calibrated)
     kept = {"old", "new", "height_rms_mm", "keep_old_because", "left_of_readings",
-            "gain_along_mm"} & set(firmware)  # fmt: skip
+            "gain_along_mm", "rods_by_heights_mm"} & set(firmware)  # fmt: skip
     assert exported.as_dict()["firmware"] == {key: firmware[key] for key in kept}
     assert exported.to_frame().loc["[stepper_a] position_endstop", "new"] == pytest.approx(
         firmware["new"]["position_endstop_mm"][0], abs=1e-6

@@ -144,6 +144,9 @@ TABLES = {
     "comments": "# bed of May\n0, 0, 0.1\n\n50, 0, -0.25\n// again\n0, 50.5, 1.5\n",
     "labels": "X:0 Y:0 Z:0.1\nX:50 Y:0 Z:-0.25\nX=0 Y=50.5 Z=1.5\n",
     "Repetier": "Z-probe:0.1 X:0.00 Y:0.00\nZ-probe:-0.25 X:50 Y:0\nZ-probe:1.5 X:0 Y:50.5\n",
+    "Smoothieware": "Recv: Probe start ht is 19.7 mm, grid size is 3x3\n"
+    "Recv: probe at 0,0 is 0.1 mm\n"
+    "Recv: DEBUG: X50.0000, Y0.0000, Z-0.2500\nRecv: DEBUG: X0.0000, Y50.5000, Z1.5000\n",
     "names in a comment": "# z x y\n0.1 0 0\n-0.25 50 0\n1.5 0 50.5\n",
     "Windows": "0,0,0.1\r\n50,0,-0.25\r\n0,50.5,1.5\r\n",
 }
@@ -525,7 +528,12 @@ REFUSED = {
                        "grid of heights without the places"),
     "brackets": ("[[0.105, 0.022, -0.01],\n [0.03, 0.0, 0.01]]\n",
                  "grid of heights without the places"),
-    "a calibration": ("Recv: G33 Auto Calibrate\nRecv: Calibration OK\n", "Marlin's G33 prints"),
+    "a calibration": ("Recv: G33 Auto Calibrate\nRecv: Calibration OK\n",
+                      "what a calibration prints"),
+    "numbers of a calibration": ("19:31:12 | G32Calibrated 9 factors using 11 points\n",
+                                 "what a calibration prints"),
+    "heights of a calibration": ("Bed probe heights: -0.134 0.027 -0.062, mean -0.030\n",
+                                 "what a calibration prints"),
     # Numbers with decimal commas between commas were read as other numbers.
     "commas": ("x,y,z\n-20,000,0,000,0,120\n0,5,0,5,0,1\n9,5,0,5,0,1\n",
                "more numbers than names"),
@@ -562,3 +570,12 @@ def test_scatter_between_lists_is_no_move_of_a_plate(sd: float) -> None:
             kinds[note.kind] += 1
             assert (" lies " in note or " is tilted " in note) == (note.kind == "moved")
     assert kinds["apart"] > 5
+
+
+def test_a_small_tilt_between_lists_is_no_bowl() -> None:
+    """'The plate is a bowl of 0.00 mm against the other', of an owner's mesh and touches."""
+    places = np.array([[0.0, 0.0], [0.09, 0.0], [0.0, 0.09], [-0.08, 0.0]])
+    note = _note("a", "b", places, places @ [8e-4, 0.0])
+    assert note is not None
+    assert "bowl" not in note
+    assert "Leave the older of the two out" in note

@@ -111,6 +111,7 @@ READ = {
     "part_size": rf"distances in (?P<leg>\w+) {SIZE} (?P<way>longer|shorter)",
     "pillar_width": rf"distances in (?P<leg>\w+) are all {SIZE} too (?P<way>long|short)",
     "plate_bow": rf"plate of (?P<leg>\w+) is a (?P<way>bowl|dome): its rim stands {SIZE}",
+    "plate_ring": rf"plate of (?P<leg>\w+) has a (?P<way>hollow|ridge) {SIZE} (?:deep|high) all",
     "plate_saddle": rf"plate of (?P<leg>\w+) is a saddle: its rim stands {SIZE} high toward "
     rf"(?P<way>\d+) degrees",
     "plate_trefoil": rf"plate of (?P<leg>\w+) has three lobes {SIZE} high at its rim, "
@@ -119,7 +120,7 @@ READ = {
 # Of an effect that declares no words: its sentence, its side and a sign.
 PLAIN = rf"(?:on leg|in setup) (?P<leg>\w+) .*?(?P<way>(?:{TOWARD}, )?by [+−]?){SIZE}"
 UP = {"out", "more", "gives way", "right", "right-handed", "long", "longer", "wider", "grow",
-      "grows", "bowl", "counter-clockwise"}  # fmt: skip
+      "grows", "bowl", "hollow", "counter-clockwise"}  # fmt: skip
 SCALES = {"mm": 1e-3, "mrad": 1e-3, "%": 1e-2, "µm": 1e-6}
 # Said for an hour, or from one end of the stroke to the other.
 PER = {"thermal_drift": 1 / 3600, "gauge_drift": 1 / 3600, "rail_torsion": 0.5}

@@ -103,7 +103,7 @@ def test_catalogue_and_rig_know_the_same_parameters() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", CATALOGUE.expand(["plate_bow", "plate_saddle", "plate_trefoil"], ["bed"])
+    "name", CATALOGUE.expand(["plate_bow", "plate_ring", "plate_saddle", "plate_trefoil"], ["bed"])
 )
 def test_shapes_of_a_plate_agree_with_the_independent_one(name: Parameter) -> None:
     rig, shape = DeltaRig(errors={name: 2e-4}), CATALOGUE.effect_of(name).shapes[name.direction]

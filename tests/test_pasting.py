@@ -24,6 +24,7 @@ from orthoglide.machine import Machine
 from orthoglide.machine_file import machine_text, parse_machine_file
 from orthoglide.planning.instrument_choice import _proposals
 from orthoglide.report import report_files
+from orthoglide.result import Result
 from orthoglide.verdict import close_loop
 from tests.klipper_files import DATA, imported, simulated_cfg
 from tests.rig_delta import DeltaRig
@@ -290,16 +291,12 @@ def test_what_new_numbers_gain_is_told_of_the_readings_that_they_fit_better() ->
     assert "the residual of heights over the plate changes from 0.003 to 0.002 mm rms" in words
 
 
-def test_rods_that_heights_alone_make_shorter_are_not_told_as_those_of_distances() -> None:
-    words = words_with_shorter_rods(
-        ResidualChange("calibration", "distances", 12, 3.1e-5, 4.1e-5),
-        ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5),
-    )
-    assert (
-        "make the rods shorter, which only the heights suggest and no distance confirms: measure"
-        in words
-    )
-    assert "as the distances say" not in words
+@pytest.mark.parametrize(("rods", "said"), [(0.3419, True), (0.3452, False), (0.0, False)])
+def test_rods_that_heights_alone_ask_for_are_to_be_measured(rods: float, said: bool) -> None:
+    left = [ResidualChange("mesh-default", "heights", 61, 3.7e-5, 2.6e-5)]
+    record = make_record(NUMBERS, NUMBERS, left, "", False, (), rods)
+    words = corrections_of(NUMBERS, record).words
+    assert ("the heights alone ask for rods of 341.9 mm, or the plate has lobes" in words) == said
 
 
 def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
@@ -313,3 +310,18 @@ def test_the_firmware_s_own_calibration_comes_first(tmp_path: Path) -> None:
     assert text.startswith("Run DELTA_CALIBRATE")
     assert "Do not enter these numbers yet: the firmware's own calibration" in text
     assert "To paste" not in str(report_files(verdict)["report.html"])
+
+
+def test_numbers_that_the_verdict_forbids_are_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an unexplained residual they stood as *new*, above the sentence that forbids them."""
+    found = imported(tmp_path, simulated_cfg(DeltaRig(errors=OFF), count=5))
+    verdict = close_loop(list(found.campaigns), Machine(found.machine))
+    assert "[printer] delta_radius" in str(verdict)
+    monkeypatch.setattr(Result, "stands", False)
+    said, page = str(verdict), str(report_files(verdict)["report.html"])
+    assert "Do not enter these numbers yet: a residual remains" in said
+    for text in (said, page):
+        assert "[printer] delta_radius" not in text
+        assert "tried" in text

@@ -228,7 +228,9 @@ def best_sizes(machine: Machine, campaigns: Sequence[Readings]) -> DeltaSizes | 
     places = points * [1.0, 1.0, 0.0]
     errors = PlateErrors(machine, computes, places, plane, _ALONG_WEIGHT, False, arms_seen)
     now, sets = errors.error(np.zeros(NUMBER_COUNT)), list[tuple[float, Array, Gain]]()
-    for columns in [c for n in range(4) for c in combinations((RADIUS, TOWERS, ARMS), n)]:
+    # Lobes of a plate look like other rods, so touches alone do not change these.
+    sizes = (RADIUS, TOWERS, ARMS) if arms_seen else (RADIUS, TOWERS)
+    for columns in [c for n in range(len(sizes) + 1) for c in combinations(sizes, n)]:
         fit = errors.fit([*ENDSTOPS, *(k for c in columns for k in c)])
         gain = errors.gain(now, fit.error)
         score = -np.inf if gain.lack else gain.weighted[0] - 2 * gain.weighted[1]

@@ -13,7 +13,7 @@ from orthoglide.geometry import Array
 from orthoglide.units import MM, ONE
 
 PLATE_SHAPE_SD = 1e-4
-"""Standard deviation of a shape that an effect names: a bowl, a saddle or three lobes, metres."""
+"""Standard deviation of a bowl, a saddle or three lobes, metres."""
 
 PLATE_BOW = Effect(
     "plate_bow",
@@ -79,6 +79,25 @@ PLATE_SADDLE = Effect(
     plate=(("cos", lambda x, y: x**2 - y**2), ("sin", lambda x, y: 2 * x * y)),
 )
 
+PLATE_RING = Effect(
+    "plate_ring",
+    MM,
+    0.05,
+    because="a bed that is held or heated unevenly has its rim turned up or down by half a tenth",
+    sentence="the plate has a hollow or a ridge all around, between its middle and its rim",
+    look_at="the plate with a straight edge from its middle to its rim",
+    words=Words(
+        "the plate{of_setup} has a {hollow|ridge} {size} {deep|high} all around, between its "
+        "middle and its rim",
+        "the plate{of_setup} has a hollow or a ridge between its middle and its rim",
+        "the plates have hollows or ridges between their middles and their rims",
+        confirm="lay a straight edge on the plate{of_setup} from its middle to its rim: expect "
+        "{a gap of|it to rock on a ridge of} {size} half way",
+    ),
+    group="plate",
+    plate=(("", lambda x, y: 4 * (x**2 + y**2) * (x**2 + y**2 - 1)),),
+)
+
 PART_SIZE = Effect(
     "part_size",
     ONE,
@@ -118,7 +137,7 @@ PILLAR_WIDTH = Effect(
 )
 
 EFFECTS = (PLATE_BOW, PLATE_TREFOIL)
-DELTA_EFFECTS = (PLATE_SADDLE, PART_SIZE, PILLAR_WIDTH)
+DELTA_EFFECTS = (PLATE_SADDLE, PLATE_RING, PART_SIZE, PILLAR_WIDTH)
 
 
 def residual_plate_shapes(position: Array, scale: float = 1.0) -> list[tuple[Array, float]]:

@@ -29,7 +29,7 @@ from orthoglide.explanation.causes import (
     pool_variants,
     smallest_count,
 )
-from orthoglide.explanation.faults import fault_message, lines_of
+from orthoglide.explanation.faults import STARTING_KINDS, Fault, fault_message, lines_of, setups_of
 from orthoglide.explanation.full_posterior import FullPosterior
 from orthoglide.explanation.linear_model import Group
 from orthoglide.fit.problem import CERTAIN_SIGMAS
@@ -159,12 +159,22 @@ class _CredibleSetReader:
         return replace(found, data=tuple(self._data_rivals(member, faults))) if faults else found
 
     def _data_rivals(self, member: int, odds: Sequence[tuple[int, float]]) -> Iterator[DataRival]:
-        """Yield the data faults of a credible set, which rival its causes."""
+        """Yield the data faults of a credible set, which rival its causes; those of one setup that
+        begin at different rows are one.
+        """
         problem = self.posterior.linearised.problem
+        alike = dict[tuple[object, ...], list[tuple[Fault, float]]]()
         for k, probability in odds:
             fault = self.posterior.data_fault(member, k)
-            rows = tuple(line for _, line in lines_of(problem, fault))
-            yield DataRival(fault.kind, rows, probability, fault_message(problem, fault))
+            moment = k if fault.kind not in STARTING_KINDS else -1
+            key = (fault.kind, moment, *setups_of(problem, fault))
+            alike.setdefault(key, []).append((fault, probability))
+        for faults in alike.values():
+            fault, rows = faults[0][0], [[n for _, n in lines_of(problem, f)] for f, _ in faults]
+            starts = sorted(lines[0] for lines in rows)
+            may_begin = f"; it may begin at any line from {starts[0]} to {starts[-1]}"
+            message = fault_message(problem, fault) + may_begin * (len(starts) > 1)
+            yield DataRival(fault.kind, tuple(rows[0]), sum(p for _, p in faults), message)
 
     def single_causes(self) -> tuple[Explanation, ...]:
         """Return the 95 % credible set of single causes on an otherwise sound machine."""

@@ -27,6 +27,9 @@ Rows = NDArray[np.int64]
 DATUM_KINDS: tuple[Kind, ...] = ("knocked_stand", "zeroed", "moved")
 """Faults whose rows get a separate datum."""
 
+STARTING_KINDS: tuple[Kind, ...] = ("knocked_stand", "moved")
+"""Faults that begin at some row and last to the end of their setup."""
+
 MISREADING_KINDS: tuple[Kind, ...] = (
     "sign", "label", "exchanged_labels", "shifted", "unit", "turns", "stuck", "noisy",
 )  # fmt: skip
@@ -43,6 +46,9 @@ _POSTURE_KINDS = ("command", "noisy")  # what a defect of the machine at a postu
 _VISITED_ONCE = (
     "; nothing here was visited twice, and a defect of the machine at one place, such as a bump of "
     "a rail, would read alike: visit it again"
+)
+_FOLD = (  # a mesh is touched row by row
+    ", or the plate is bent along a line there, which a mesh in another order of rows shows again"
 )
 _LOST_MOTION = f"; or it is lost motion, as {APPROACH_NOT_RECORDED}: {APPROACH_REMEDY}"
 
@@ -162,8 +168,8 @@ _CLAUSES: dict[Kind, str] = {
     "dial's stand had been knocked: give these rows a setup name of their own, or measure the "
     "setup again",
     "moved": "from here on the same places read about {size} {unit} otherwise than before, as if "
-    "the instrument, or what it stands on, had been moved, or drifted: give the rows from there on "
-    "a setup name of their own, as is done here, or measure the setup again{lost_motion}",
+    "the instrument, or what it stands on, had been moved, or drifted{fold}: give the rows from "
+    "there on a setup name of their own, as is done here, or measure the setup again{lost_motion}",
     "drifted": "from the first of these readings to the last, what the same places read changes "
     "evenly by about {size} {unit}, as if the instrument, or what it stands on, crept or warmed: "
     "its rate is fitted here; let it settle and measure the setup again{lost_motion}",
@@ -215,6 +221,7 @@ def _clause(problem: Problem, fault: Fault) -> str:
         size=compact(size * 1e3, 2),
         unit=setup.observation.unit,
         lost_motion=lost_motion,
+        fold=_FOLD * setup.observation.touches,
         place=place,
         scatter=f"{size * 1e3:.2g}",
         remedy=remedy,
@@ -262,6 +269,13 @@ def _outlier_clause(problem: Problem, fault: Fault) -> str:
     if readings.by_point:
         subject = f"the point is {abs(fault.size) * 1e3:.3g} {unit}"
     revisited = np.sum(problem.station[fault.rows[0]] == problem.station) > 1
+    if readings.touching[row] and not revisited:  # a printer's firmware keeps no notes of it
+        side = "below" if fault.size > 0 else "above"
+        return (
+            f"the touch here is {compact(abs(fault.size) * 1e3)} mm {side} the surface of all "
+            f"others, as by a speck, a clip or a bad touch: clean the plate and touch this place "
+            f"again"
+        )
     reference = "the other readings of this place" if revisited else "what all others say"
     checked = "it" if revisited or readings.paired[row] else "it and its command"
     other_cause = ""

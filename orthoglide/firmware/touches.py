@@ -18,9 +18,10 @@ _LABELLED = [
     re.compile(rf"(?<![A-Za-z]){axis}\s*[:=]\s*({_NUMBER})", re.I)
     for axis in ("x", "y", "z(?:-probe)?")  # Z-probe: of Repetier
 ]
-_CONSOLE = re.compile(  # of Klipper, which changed its words
-    rf"\bprobe:? at ({_NUMBER}),({_NUMBER})(?: (?:is|bed will contact at) z=)?", re.I
+_CONSOLE = re.compile(  # of Klipper, which changed its words, and of Smoothieware's centre
+    rf"\bprobe:? at ({_NUMBER}),({_NUMBER})(?: (?:is|bed will contact at) z=| is )?", re.I
 )
+_SMOOTHIEWARE = re.compile(rf"\bX({_NUMBER}), Y({_NUMBER}), Z(?=[-+.\d])")  # G-code has no commas
 _BED_LINE = re.compile(r"\bbed\s+x\s*[:=]|\bprobe:? at [-+.\d]", re.IGNORECASE)
 _POSITION = re.compile(r"\bE\s*:|\bCount\b", re.IGNORECASE)  # of a tool, not of a touch
 _BED_TEMPERATURE = re.compile(rf"(?<![A-Za-z])B\s*:\s*({_NUMBER})\s*/", re.I)  # in a log
@@ -103,16 +104,22 @@ def read_touches(lines: Sequence[str], file: str) -> TouchLists:
 
 def _labelled_numbers(line: str) -> list[str]:
     """Return the numbers of x, y and z that a line names, those of Klipper's console too."""
-    line = _CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line)
+    line = _with_labels(line)
     return [match[1] for pattern in _LABELLED if (match := pattern.search(line))]
+
+
+def _with_labels(line: str) -> str:
+    """Return a line of a console as Marlin's ``Bed X: Y: Z:``; another line as it is."""
+    return _SMOOTHIEWARE.sub(r"Bed X:\1 Y:\2 Z:", _CONSOLE.sub(r"Bed X:\1 Y:\2 Z:", line))
 
 
 def _read_labelled(lines: Sequence[str], touch_lists: TouchLists) -> None:
     """Read lines that name x, y and z; in a log, only those of touches."""
-    has_bed_lines = any(map(_BED_LINE.search, lines))
+    has_bed_lines = any(_BED_LINE.search(_with_labels(line)) for line in lines)
     for number, line in enumerate(lines, start=1):
         cells = _labelled_numbers(line)
-        is_touch = _BED_LINE.search(line) if has_bed_lines else not _POSITION.search(line)
+        labelled = _BED_LINE.search(_with_labels(line))
+        is_touch = labelled if has_bed_lines else not _POSITION.search(line)
         if temperature := _BED_TEMPERATURE.search(line):
             touch_lists.temperature = _number(temperature[1])
         if is_touch and len(cells) == len(_LABELLED):

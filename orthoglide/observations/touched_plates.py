@@ -246,12 +246,13 @@ def _note(name: str, other: str, places: Array, difference: Array) -> Note | Non
     rise = float(np.hypot(*slope) * np.ptp(places, axis=0).max() / 2)
     toward = float(np.degrees(np.arctan2(slope[1], slope[0]))) % 360
     higher, rise = (v if abs(v) > LEAST_MOVE else 0.0 for v in (float(height), rise))
-    if _upper_quartile(shape) > _MAX_SHAPE or not (higher or rise):
+    has_shape = _upper_quartile(shape) > _MAX_SHAPE
+    if has_shape or not (higher or rise):
         remedy = (
             "Leave the older of the two out, or probe it again; of a plate that was turned say by "
             "how much (turned_deg, or --turned NAME=DEGREES on import)"
         )
-        if _is_bowl(places, shape):
+        if has_shape and _is_bowl(places, shape):
             high = _bowl(places, shape)
             remedy = (
                 f"The plate of {name}.csv is a {'bowl' if high.max() > 0 else 'dome'} of "

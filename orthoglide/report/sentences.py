@@ -248,9 +248,11 @@ def _single_causes_text(result: Result) -> str:
 def _unexplained_text(result: Result) -> str:
     """Return that the model does not fit, the size of the residual, and the most probable cause."""
     cause = " No single cause explains the difference." if result.searches else ""
+    chance = probability(min(result.left.p_value, result.after.scores.lack_of_fit_p))
     text = (
         f"The model does not fit: its residual is {result.after.scores.left.said()} rms, and the "
-        f"noise of a reading is {noise_words(result)}.{cause}"
+        f"noise of a reading is {noise_words(result)}; noise leaves as much with probability "
+        f"{chance}.{cause}"
     )
     if result.left.p_value > _CHANCE_LEVEL:  # only tolerances of other machines would explain it
         return f"{text} {len(result.readings)} readings are too few to say more."

@@ -64,11 +64,11 @@ def summary(
     parts += [Text(with_paths(line)) for line in action_lines(result)]
     parts += _new_zeros(result)
     if (corrections := result.corrections) is not None:
-        if not corrections.keep:
+        advice, reason = reason_not_to_enter(result)
+        if not advice:
             parts += table((corrections.file, "old", "new"), corrections.rows)
         title = "residual of the firmware's equations, rms, mm"
-        parts += table((title, "old", "tried" if corrections.keep else "new"), corrections.left)
-        advice, reason = reason_not_to_enter(result)
+        parts += table((title, "old", "tried" if advice else "new"), corrections.left)
         if advice:
             parts.append(Text(f"{advice}: {reason}.", style="bold"))
     parts += [Text(f"Warning: {caution}", style="bold") for caution in result.further_cautions]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from orthoglide.accuracy import MIN_SIGMAS
 from orthoglide.add_ons import Corrections
 from orthoglide.control.delta_numbers import (
     ENDSTOPS,
@@ -31,6 +32,7 @@ from orthoglide.firmware.klipper.numbers import (
 )
 from orthoglide.geometry import Array, fit_plane, plane_columns, polynomial_columns
 from orthoglide.instruments import PRINTED
+from orthoglide.instruments.distance import DISTANCE_OFFSET_SD, SHRINKAGE_BY_MATERIAL
 from orthoglide.machine import Machine
 from orthoglide.numerals import signed
 from orthoglide.observations import Readings
@@ -66,7 +68,7 @@ def new_numbers(
 
     With the new numbers, the firmware computes places of the nozzle over the plate nearest to those
     of the calibrated machine; the plate is z = 0. Arms are those of the firmware, or those of the
-    machine if these are expected to be clearly better.
+    machine if measured rods or distances ask for these, and they are expected to be clearly better.
     """
     touched = [c.subset(np.flatnonzero(c.touching)) for c in campaigns if c.touching.sum() > 2]
 
@@ -95,7 +97,8 @@ def new_numbers(
     now, free = errors.error(0 * calibrated), [*ENDSTOPS, *RADIUS, *TOWERS]
     chosen, with_arms = errors.fit(free), errors.fit(free, calibrated)
     keep = errors.gain(now, chosen.error).lack
-    if not errors.gain(now if keep else chosen.error, with_arms.error).lack:
+    asked = rods_measured or distances_ask_for_rods(old, campaigns)
+    if asked and not errors.gain(now if keep else chosen.error, with_arms.error).lack:
         chosen, keep = with_arms, ""
     new = old.changed(chosen.change)
     changes = tuple(residual_changes(old, new, campaigns, meshes_relative))
@@ -103,7 +106,32 @@ def new_numbers(
     judged = residual_changes(old, new, campaigns, meshes_relative, free_size=True)
     keep = _RECALIBRATE_FIRST if calibrate_again else rejection_reason([*judged], noise) or keep
     gain = errors.gain(now, chosen.error).along
-    return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain))
+    unasked = 0.0 if asked else float(np.mean(_calibrated_arms(machine)))
+    return corrections_of(old, make_record(old, new, changes, keep, rods_measured, gain, unasked))
+
+
+def distances_ask_for_rods(old: Numbers, campaigns: Sequence[Readings]) -> bool:
+    """Return whether distances differ from the firmware's by two standard deviations more than
+    parts of their material do, the widths of their pillars included.
+
+    Heights do not ask: rods 3 mm longer and lobes of a tenth in the plate look alike, and of
+    owners' printers, whose rods are of known length, nearly all plates have such lobes.
+    """
+    for material, (usual, sd) in SHRINKAGE_BY_MATERIAL.items():
+        shares, setups = [np.zeros(0)], 0
+        for campaign in campaigns:
+            of_material = np.array([s.material == material for s in campaign.setups])
+            rows = np.flatnonzero(campaign.paired & of_material[campaign.setup])
+            part = campaign.subset(rows)
+            shares.append(_distance_residuals(old, old, part, False) / part.reading)
+            setups += len(np.unique(part.setup))
+        if setups:  # the median, as one of a few distances may be mistyped
+            length = float(np.median([r for c in campaigns for r in c.reading[c.paired]]))
+            width_share = DISTANCE_OFFSET_SD / length / np.sqrt(setups)
+            excess = abs(float(np.median(np.concatenate(shares))) - usual)
+            if excess > MIN_SIGMAS * float(np.hypot(sd, width_share)):
+                return True
+    return False
 
 
 def rejection_reason(

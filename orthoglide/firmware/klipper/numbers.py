@@ -261,11 +261,12 @@ class ResidualChange:
 
 def make_record(
     old: Numbers, new: Numbers, changes: Sequence[ResidualChange], keep: str, rods_measured: bool,
-    gain: Sequence[float] = (),
+    gain: Sequence[float] = (), unasked_rods: float = 0.0,
 ) -> dict[str, Any]:  # fmt: skip
     """Return what a calibrated machine keeps of new numbers, with the residuals of the readings by
     both; ``keep``: why the new ones are not to be entered, a clause, empty if they are better;
-    ``gain``: expected along the plate, and its standard deviation, metres.
+    ``gain``: expected along the plate, and its standard deviation, metres; ``unasked_rods``: length
+    of rods by the heights alone, metres, 0 if others ask for it.
     """
     # Files have equal weights, as heights of two days differ by more than touches scatter.
     heights = [(x.old, x.new) for x in changes if x.kind == "heights"] or [(0.0, 0.0)]
@@ -277,6 +278,7 @@ def make_record(
         "keep_old_because": keep,
         **({"rods_measured": True} if rods_measured else {}),
         **({"gain_along_mm": [round(v * 1e3, 6) for v in gain]} if gain else {}),
+        **({"rods_by_heights_mm": round(unasked_rods * 1e3, 6)} if unasked_rods else {}),
         "left_of_readings": [
             {"file": x.file, "kind": x.kind, "count": x.count,
              "old_rms_mm": round(x.old * 1e3, 6), "new_rms_mm": round(x.new * 1e3, 6)}
@@ -296,23 +298,26 @@ def corrections_of(old: Numbers, record: Mapping[str, Any]) -> Corrections:
     before, after = (float(value) * 1e-3 for value in record["height_rms_mm"])
     keep, rods_measured = str(record["keep_old_because"]), record.get("rods_measured") is True
     rod_change, rods = float(np.mean(new.arm) - np.mean(old.arm)), ""
+    by_heights = float(record.get("rods_by_heights_mm", np.mean(old.arm) * 1e3)) * 1e-3
     rises = [
         float(x["new_rms_mm"]) - float(x["old_rms_mm"])
         for x in record.get("left_of_readings", ()) if x["kind"] == "distances"
     ]  # fmt: skip
     if abs(rod_change) > MAX_ROD_SPREAD:
         longer = "longer" if rod_change > 0 else "shorter"
-        why = "which only the heights suggest and no distance confirms: measure a rod first"
+        why = (
+            "as the distances say (a part that shrank makes distances shorter): measure a rod first"
+        )
         if rods_measured:
             why = f"{np.mean(new.arm) * 1e3:.1f} mm, as was measured"
-        elif "left_of_readings" not in record or any(rise < 0 for rise in rises):
-            why = (
-                "as the distances say (a part that shrank makes distances shorter): measure a rod "
-                "first"
-            )
         gain = record.get("gain_along_mm")
         along = f"; along the plate {with_sigma(*gain)} mm are gained" if gain else ""
         rods = f"; the new numbers make the rods {longer}, {why}{along}"
+    elif abs(by_heights - float(np.mean(old.arm))) > MAX_ROD_SPREAD:
+        rods = (
+            f"; the heights alone ask for rods of {by_heights * 1e3:.1f} mm, or the plate has "
+            f"lobes: arm_length stays until a rod is measured (rods_mm under [measured])"
+        )
     elif not rods_measured and any(rise * 1e-3 > _MIN_SIZE_CONFLICT for rise in rises):
         rods = "; with them the distances fit worse, as if the part had shrunk: measure a rod first"
     if (spread := float(np.ptp(new.arm))) > MAX_ROD_SPREAD and not rods_measured:
