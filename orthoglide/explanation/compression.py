@@ -172,12 +172,8 @@ def compress_readings(
     residual_rows = (np.bincount(rows.index, residual) / counts)[:, None], rows.index
     readings = MergedRows((*rows.blocks, residual_rows), rows.index)
     basis, blocks = nuisance.basis, [*_station_blocks(nuisance.weighing)]
-    nuisance_part: Array = np.add.reduce(
-        [
-            basis[block].T @ weighing.whiten(readings.rows(first[block]))
-            for block, weighing in blocks
-        ]
-    )
+    parts = [basis[k].T @ of_block.whiten(readings.rows(first[k])) for k, of_block in blocks]
+    nuisance_part: Array = np.sum(parts, axis=0)
     tail = -basis[len(first) :] @ nuisance_part
     gram, station_chi2 = tail.T @ tail, 0.0
     station_gram = np.zeros_like(gram)
