@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -503,3 +504,26 @@ def test_a_campaign_of_faults_alone_is_refused_for_its_own(machine):
         InputError, match=r"all 54 rows of visit-2 are faulty.* \(visit-2, 54 lines"
     ):
         without_faults(problem, [first, whole])
+
+
+@pytest.mark.parametrize("evidence", [0.0, 2.0])
+def test_a_fit_without_changes_is_searched_once(
+    monkeypatch: pytest.MonkeyPatch, evidence: float
+) -> None:
+    """Where no repeats show the noise, it was searched to compare it, and then again."""
+    fit: Any = SimpleNamespace(problem=SimpleNamespace(repeat_count=0))
+    unchanged: Any = SimpleNamespace(evidence=1.0)
+    stubs = {
+        "likeliest_changes": lambda _: [SimpleNamespace(log_odds_against=0.0)],
+        "with_changes_separate": lambda *_: None,
+        "fit_nested": lambda _: "separate",
+        "posterior_at_base_fit": lambda _: unchanged,
+        "posterior_with_corrected_commands": lambda base, known: (
+            SimpleNamespace(evidence=evidence) if base == "separate" else known
+        ),
+    }
+    for name, stub in stubs.items():
+        monkeypatch.setattr(data_faults, name, stub)
+    changes, _, posterior, at_hand = data_faults._beside_changes(fit, None)
+    assert (at_hand if changes else posterior) is unchanged
+    assert bool(changes) is (evidence > unchanged.evidence)

@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 import orthoglide as og
-from orthoglide.explanation import compression, screening
+from benchmarks import public
+from orthoglide.explanation import compression, free_form, screening
 from orthoglide.explanation.columns import linearise_full_model
 from orthoglide.explanation.compression import MergedRows
+from orthoglide.geometry import Array
 from orthoglide.observations.arrays import equal_rows
 from orthoglide.prediction import MeasurementModel, measurement_model
 from orthoglide.simulation import simulate
+from tests import rig_campaigns
+from tests.rig import Rig
 from tests.studied import studied
 
 MACHINE = og.Machine.nominal()
@@ -93,6 +97,32 @@ def test_evidence_counts_the_scatter_of_visits_to_a_station(
     explained = [model.linear.residual @ model.linear.residual for model in models]
     one, other = np.add(remainder, explained) + [m.unexplainable_chi2 for m in models]
     assert other == pytest.approx(one, abs=1e-3)
+
+
+def test_waves_are_compared_at_as_many_travels_as_they_need(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A hundred thousand different travels took as many sines for each period."""
+    dense = [(f"{k}", float(t)) for k, t in enumerate(np.linspace(-100, 60, 120))]
+    monkeypatch.setitem(rig_campaigns.PROTOCOLS, "dense", (dense, (0.5,)))
+    rig = Rig(extra=(rig_campaigns.drive_wave(1, 2e-4, 0.031),))
+    rows = rig_campaigns.protocol_rows("dense", repeats=1)
+    read = public.campaign(rig_campaigns.simulate(rig, rows, np.random.default_rng(4)))
+    estimate, gain = og.identify(read, public.machine()), free_form._wave_gain
+    counts, periods = list[int](), dict[int, list[float]]()
+
+    def counted(cycles: Array, u: Array, of_travel: Array) -> Array:
+        counts.append(len(u))
+        return gain(cycles, u, of_travel)
+
+    monkeypatch.setattr(free_form, "_wave_gain", counted)
+    for decimals in (3, 6):
+        monkeypatch.setattr(free_form, "_DECIMALS", decimals)
+        errors = linearise_full_model(estimate).free_form_errors
+        periods[decimals] = [e.period for e in errors if e.name.startswith("drive.y/waves@")]
+    assert min(counts) <= 161 < max(counts)
+    assert periods[3][:5] == pytest.approx(periods[6][:5], rel=2e-3)
+    assert min(abs(period - 0.031) for period in periods[3]) < 3e-4
 
 
 def test_equal_rows_are_stored_once() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations, product
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -11,9 +12,12 @@ import pytest
 from scipy import sparse
 from scipy.stats import norm
 
-from orthoglide.explanation import linear_model
+from orthoglide.errors import NumericsError
+from orthoglide.explanation import base_fit, linear_model
 from orthoglide.explanation.alternatives import Alternatives
+from orthoglide.explanation.base_fit import fits_without_a_slip
 from orthoglide.explanation.credible_sets import merge_families
+from orthoglide.explanation.faults import Fault
 from orthoglide.explanation.full_likelihood import FullLikelihood, _span
 from orthoglide.explanation.linear_model import (
     NEGLIGIBLE_LOG_WEIGHT,
@@ -262,6 +266,31 @@ def test_larger_noise_that_can_have_no_weight_is_left_out(monkeypatch: pytest.Mo
     assert few.best == whole.best
     assert few.inclusion == pytest.approx(whole.inclusion, abs=1e-12)
     assert few.mean == pytest.approx(whole.mean, abs=1e-12)
+
+
+def test_a_slip_that_the_fit_does_not_follow_starts_no_other_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two visits to a changed machine were fitted twelve times, and searched twice."""
+    rows = np.arange(2)
+    groups = [
+        replace(Group(f"!{k}", rows[:1], np.eye(1), False), of_data=True,
+                source=SimpleNamespace(fault=Fault("outlier", rows[k : k + 1])))
+        for k in rows
+    ]  # fmt: skip
+    mixture = SimpleNamespace(
+        linear=SimpleNamespace(groups=groups), log_posterior_odds_if_sound=lambda: np.eye(2)
+    )
+    fitted = SimpleNamespace(rows=SimpleNamespace(leverage=np.array([0.1, 0.8])), problem=None)
+    left_out = list[int]()
+
+    def excluded(_: object, faults: list[Fault]) -> None:
+        left_out.extend(faults[0].rows.tolist())
+        raise NumericsError("it is not fitted")
+
+    monkeypatch.setattr(base_fit, "with_faults_accounted_for", excluded)
+    assert fits_without_a_slip(cast(Any, fitted), cast(Any, mixture)) == []
+    assert left_out == [1]
 
 
 def test_where_lapack_does_not_converge_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:

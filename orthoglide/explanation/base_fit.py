@@ -19,6 +19,10 @@ _MOST_EXCLUDED = 12
 """Readings that are left out in turn, the likeliest slips first: among more readings than these,
 one slip drives a fit less far off."""
 
+_LEAST_LEVERAGE = 0.5
+"""Share of a reading in its own prediction from which a fit follows its slip more than all others
+show it; a slip of less leverage leaves most of itself in its residual."""
+
 _MAX_LIMITS_NAMED = 3  # parameters that a message names
 
 
@@ -29,7 +33,7 @@ def fit_nested(problem: Problem, start: Array | None = None) -> Estimate:
 
 def fits_without_a_slip(before: Estimate, mixture: Mixture) -> list[Estimate]:
     """Return the fit at the parameters of the one reading less that leaves the smallest chi2, as a
-    list; empty if no reading may be a slip.
+    list; empty if no reading that the fit follows may be a slip.
 
     Where readings are few, a slip of millimetres drives a fit to where the readings are far from
     linear, and any other of them seems to have slipped.
@@ -37,7 +41,9 @@ def fits_without_a_slip(before: Estimate, mixture: Mixture) -> list[Estimate]:
     groups, odds = mixture.linear.groups, mixture.log_posterior_odds_if_sound().max(axis=1)
     faults = [groups[k].source.fault for k in descending(odds) if groups[k].of_data]
     fits = list[Estimate]()
-    for fault in [fault for fault in faults if fault.excluded][:_MOST_EXCLUDED]:
+    is_followed = before.rows.leverage > _LEAST_LEVERAGE
+    faults = [fault for fault in faults if fault.excluded and is_followed[fault.rows].any()]
+    for fault in faults[:_MOST_EXCLUDED]:
         with suppress(NumericsError):
             problem = with_faults_accounted_for(before.problem, [fault])
             fits.append(fit_nested(problem))

@@ -39,7 +39,7 @@ MOST_RANKED_READINGS = 10_000
 """Number of readings up to which misreadings are ranked, for which all columns are kept by reading:
 for more, four matrices by unknowns take over 0.4 GB."""
 
-_BLOCK = 4096  # readings in a block, which is no larger than readings that are not compressed
+_BLOCK = 2048  # readings in a block, which is hardly larger than readings that are not compressed
 _ROUNDING = 1e-12  # square of what others leave of a unit column, below which it is rounding
 
 
@@ -171,14 +171,13 @@ def compress_readings(
     sigma, nuisance = nuisance.weighing.sigma[first], nuisance.of_means(rows.index)
     residual_rows = (np.bincount(rows.index, residual) / counts)[:, None], rows.index
     readings = MergedRows((*rows.blocks, residual_rows), rows.index)
-    basis, whiten, n = nuisance.basis, nuisance.weighing.whiten, len(first)
-    nuisance_part = np.hstack(
-        [basis[:n].T @ whiten(block[index[first]]) for block, index in readings.blocks]
-    )
-    tail = -basis[n:] @ nuisance_part
+    basis, blocks = nuisance.basis, [*_station_blocks(nuisance.weighing)]
+    parts = [basis[k].T @ of_block.whiten(readings.rows(first[k])) for k, of_block in blocks]
+    nuisance_part: Array = np.sum(parts, axis=0)
+    tail = -basis[len(first) :] @ nuisance_part
     gram, station_chi2 = tail.T @ tail, 0.0
     station_gram = np.zeros_like(gram)
-    for block, weighing in _station_blocks(nuisance.weighing):
+    for block, weighing in blocks:
         whitened = weighing.whiten(readings.rows(first[block]))
         whitened -= basis[block] @ nuisance_part
         gram_of_block = whitened.T @ whitened

@@ -104,15 +104,15 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
         corrected = _correct_faults(problem, faults_found)
         fit = estimate if corrected is problem else fit_nested(corrected)
         # Changes are searched again: a fault that is corrected now may have caused earlier ones.
-        changes, base, first = _beside_changes(fit, misreading.posterior)
+        changes, base, first, unchanged = _beside_changes(fit, misreading.posterior)
         states = states_by_noise(base, first)
         base, posterior = states[0]
         misreading = _find_misreading(states, faults_found)
         # A misreading may explain the readings without changes.
         if changes and misreading.fault is None:
             evidence = first.evidence - _prior_log_odds_against(changes)
-            unchanged = fit, posterior_at_base_fit(fit)
-            misreading = _find_misreading([unchanged], faults_found, evidence)
+            unchanged = unchanged or posterior_at_base_fit(fit)
+            misreading = _find_misreading([(fit, unchanged)], faults_found, evidence)
         found = _without_contradictory_lists(problem, credible_faults(posterior))
         converged = None
         if misreading.fault is None and found.ambiguous and not found.certain:
@@ -146,8 +146,9 @@ def find_data_faults(estimate: Estimate, progress: Progress = no_progress) -> Da
 
 def _beside_changes(
     fit: Estimate, earlier: FullPosterior | None
-) -> tuple[list[Change], Estimate, FullPosterior]:
-    """Return the changes between visits, the fit with these parameters separate and its posterior.
+) -> tuple[list[Change], Estimate, FullPosterior, FullPosterior | None]:
+    """Return the changes between visits, the fit with these parameters separate and its posterior;
+    and the posterior of the fit without changes, if it was needed.
 
     The search of changes may take for a change what is noise larger than declared. Where no repeats
     show the noise, the evidence of the full model must be larger with the changes too.
@@ -160,10 +161,12 @@ def _beside_changes(
         base = fit_nested(with_changes_separate(fit.problem, changes))
         posterior = posterior_with_corrected_commands(base, earlier)
         evidence = posterior.evidence - _prior_log_odds_against(changes)
-        shown_by_repeats = fit.problem.repeat_count >= ENOUGH_REPEATS
-        if shown_by_repeats or evidence > posterior_at_base_fit(fit).evidence:
-            return changes, base, posterior
-    return [], fit, posterior_with_corrected_commands(fit, earlier)
+        if fit.problem.repeat_count >= ENOUGH_REPEATS:
+            return changes, base, posterior, None
+        earlier = (earlier and earlier.of_equal_fit(fit)) or posterior_at_base_fit(fit)
+        if evidence > earlier.evidence:
+            return changes, base, posterior, earlier
+    return [], fit, posterior_with_corrected_commands(fit, earlier), None
 
 
 def _prior_log_odds_against(changes: Sequence[Change]) -> float:

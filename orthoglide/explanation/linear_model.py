@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular, svd
+from scipy.linalg import qr, solve_triangular, svd
 
 from orthoglide.geometry import Array
 
@@ -121,6 +121,11 @@ class LinearModel:
         background = np.where(self.free_form, free_form_scale, background_scale)
         return np.where(np.isfinite(self.fixed_sd), self.fixed_sd, background) ** 2
 
+    @property
+    def of_background(self) -> NDArray[np.bool_]:
+        """Mask of the coefficients whose prior is the background ``(C,)``."""
+        return ~self.free_form & ~np.isfinite(self.fixed_sd)
+
     @cached_property
     def prior_covariances(self) -> tuple[Array, Array, Array, Array]:
         """Prior covariances of the readings at scale one, each ``(m, m)``.
@@ -129,7 +134,7 @@ class LinearModel:
         errors.
         """
         fixed, A = np.isfinite(self.fixed_sd), self.columns
-        free, background = A[:, self.free_form & ~fixed], A[:, ~self.free_form & ~fixed]
+        free, background = A[:, self.free_form & ~fixed], A[:, self.of_background]
         parts = A[:, fixed] * self.fixed_sd[fixed], free, background, self.stations
         of_fixed, of_free, of_background, of_stations = (columns @ columns.T for columns in parts)
         return of_fixed, of_free, of_background, of_stations
@@ -190,11 +195,14 @@ class Basis:
     def _whitened_background(self) -> tuple[Array, Array]:
         """Variance that a background of one tolerance adds to each direction ``(m,)``, and the
         matrix from rows of the linear model to whitened ones ``(m, m)``.
+
+        The background has fewer coefficients than there are directions, so most have none of it.
         """
-        whiten = solve_triangular(self._root, np.eye(len(self._root)), lower=True)
-        background = whiten @ self.linear.prior_covariances[2] @ whiten.T
-        variance, vectors = np.linalg.eigh(background)
-        return np.maximum(variance, 0.0), vectors.T @ whiten
+        background = self.linear.columns[:, self.linear.of_background]
+        left, sizes = left_singular(solve_triangular(self._root, background, lower=True))
+        directions, variance = qr(left)[0], np.zeros(len(left))
+        directions[:, : len(sizes)], variance[: len(sizes)] = left, sizes**2
+        return variance, solve_triangular(self._root, directions, lower=True, trans="T").T
 
     @property
     def background_variance(self) -> Array:

@@ -312,8 +312,7 @@ class Search:
     def _crossed(self) -> Array:
         """Inner products of the columns of one-coefficient causes ``(scales, ones, ones)``."""
         index = self._first_column[self._single_groups]
-        blocks = (s.some_group_columns(index) for s in self.scales)
-        return np.stack([columns.T @ columns for columns in blocks])
+        return np.stack([c.T @ c for s in self.scales for c in [s.some_group_columns(index)]])
 
     def _partial_products(
         self, state: State, at: NDArray[np.intp] | slice = slice(None)
@@ -371,20 +370,22 @@ class Search:
     @cached_property
     def _scales_by_basis(self) -> list[tuple[Basis, NDArray[np.intp], Array]]:
         """Each basis with the indices of its scales, and their weights ``(scales, m)``."""
-        indices: dict[Basis, list[int]] = {}
-        for k, scale in enumerate(self.scales):
-            indices.setdefault(scale.basis, []).append(k)
-        return [(basis, np.array(own), np.stack([self.scales[k].weight for k in own]))
-                for basis, own in indices.items()]  # fmt: skip
+        bases = [scale.basis for scale in self.scales]
+        indices = {basis: np.flatnonzero([b is basis for b in bases]) for basis in bases}
+        weights = (np.stack([self.scales[k].weight for k in own]) for own in indices.values())
+        return list(zip(indices, indices.values(), weights, strict=True))
 
     def _gram_matrices(self, size: int, index: NDArray[np.intp]) -> Array:
         """Return Gram matrices of all groups of a size ``(scales, groups, size, size)``."""
         if size not in self._products:
             found = self._products[size] = np.empty((len(self.scales), len(index), size, size))
             for basis, scales, weights in self._scales_by_basis:
-                columns = basis.group_columns[:, index]
-                outer = (columns[..., None] * columns[:, :, None]).reshape(len(columns), -1)
-                found[scales] = (weights**2 @ outer).reshape(len(scales), *found.shape[1:])
+                # Scales differ only in the directions with background, which come first.
+                count = np.count_nonzero(basis.background_variance)
+                some, others = np.split(basis.group_columns[:, index], [count])
+                outer, others = some[..., None] * some[:, :, None], others.transpose(1, 2, 0).copy()
+                found[scales] = others @ others.swapaxes(1, 2)
+                found[scales] += np.tensordot(weights[:, :count] ** 2, outer, 1)
         return self._products[size]
 
     def _active_directions(self, scale: Scale, state: State) -> tuple[Array, Array]:

@@ -97,7 +97,7 @@ class Nuisances:
     precision: Array  # prior precision about zero (k,); 0 without a prior
     weighing: Weighing  # the noise of the rows
 
-    @cached_property
+    @property
     def augmented(self) -> Array:
         """Whitened columns over the rows of their priors ``(n + k, k)``."""
         return np.vstack([self.weighing.whiten(self.columns), np.diag(np.sqrt(self.precision))])
@@ -105,7 +105,7 @@ class Nuisances:
     @cached_property
     def basis(self) -> Array:
         """Orthonormal columns that span those of ``augmented`` ``(n + k, rank)``."""
-        return orthonormal(self.augmented.copy())
+        return orthonormal(self.augmented)
 
     @property
     def count(self) -> int:
@@ -134,7 +134,7 @@ class Nuisances:
         Args:
             weighted: whether each reading has weight ``(n,)``.
         """
-        gram = self.augmented.T @ self.augmented
+        gram = (columns := self.augmented).T @ columns
         length = np.sqrt(np.diag(gram))
         values = np.linalg.eigvalsh(gram / length / length[:, None])
         of_noise = self.weighing.log_determinant - 2 * np.log(NO_WEIGHT) * np.sum(~weighted)
