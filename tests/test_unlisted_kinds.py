@@ -111,6 +111,33 @@ def test_a_proportional_coupling_of_two_drives_is_in_the_set() -> None:
     assert np.polyfit(found.at, found.value, 1)[0] == pytest.approx(1e-3, rel=0.2)
 
 
+def test_a_carriage_that_turns_in_proportion_to_its_travel_is_in_the_set() -> None:
+    """A bent rail and a rail that leans were named, and the tool was moved by both."""
+    twisting = replace(RIG, extra_turn=(rc.twisting_carriage(0, 1, -3.5e-5),))
+    rows = rc.simulate(twisting, ROWS, np.random.default_rng(5))
+    verdict = studied([public.campaign(rows)])
+    assert verdict.effects == ()
+    (found,) = verdict.located
+    assert found.name == "carriage.x.y/travel-line"
+    assert (
+        found.members[0].description == "the x carriage turns about y in proportion to its travel"
+    )
+    assert np.polyfit(found.members[0].at, found.members[0].value, 1)[0] == pytest.approx(
+        -3.5e-5 / 0.01 / 0.08, rel=0.2
+    )
+
+
+def test_drives_that_warm_alike_are_one_finding() -> None:
+    """The steady part of the drift was a second finding, or longer bars."""
+    rig = replace(RIG, extra=(rc.warming_drives(1.5e-4),))
+    rows = rc.simulate(rig, ROWS, np.random.default_rng(5))
+    verdict = studied([public.campaign(rows)])
+    assert verdict.effects == ()
+    (found,) = verdict.located
+    assert found.name == "drive/time"
+    assert found.members[0].size == pytest.approx(1.5e-4, rel=0.2)
+
+
 def test_a_bar_that_snaps_while_another_leg_is_read_is_in_the_set() -> None:
     """A drive was named alone: the time of a bar ended with the readings of its own leg."""
     rig = replace(RIG, extra_length=(rc.snapping_bar(1, 0, 2e-4, OF_Z),))

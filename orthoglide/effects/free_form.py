@@ -193,7 +193,7 @@ def free_forms(
     for leg in range(len(LEGS)):
         for form in _leg_forms(leg):
             forms.append(form)
-            if form.against == "travel" and form.part != "platform":
+            if form.against == "travel" and form.part != "platform" and not form.is_line:
                 of_drive = form.part == "drive"
                 kernel = kernels.SCREW if of_drive else kernels.short_wave_kernel(half)
                 forms.append(replace(form, kernel=kernel, short_waves=True))
@@ -216,8 +216,8 @@ def _leg_forms(leg: int) -> Iterator[FreeForm]:
         for part, kernel in kernels_of.items():
             yield FreeForm(part, leg, axis, "travel", kernel)
             yield FreeForm(part, leg, axis, "approach", kernels.COARSE)
-    for axis in "abc":
-        yield FreeForm("carriage", leg, axis, "travel", kernels.ACROSS, 1e-3)
+    for axis, kernel in product("abc", (kernels.ACROSS, kernels.LINE)):
+        yield FreeForm("carriage", leg, axis, "travel", kernel, 1e-3)
     for bar in "12":
         yield FreeForm("bar", leg, bar, "approach", kernels.COARSE)
 

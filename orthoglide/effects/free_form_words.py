@@ -87,7 +87,9 @@ def _travel_words(form: FreeFormPlace) -> str:
         return "between travel {} and {} mm".format(*form.travels_of_step)
     if form.period is not None:
         return f"in waves of {compact(form.period * 1e3, 3)} mm along its travel"
-    return "in short waves along its travel" if form.short_waves else "depending on its travel"
+    if form.short_waves:
+        return "in short waves along its travel"
+    return f"{'in proportion to' if form.is_line else 'depending on'} its travel"
 
 
 def look_at(form: FreeFormPlace) -> str:

@@ -185,12 +185,13 @@ DRIVE, LOST = Kernel(0.030 / LENGTH, 96, rough=0.1), Kernel(0.030 / LENGTH, 24, 
 # Harmonics of a screw, a worn ball: unknown between stations that are farther apart.
 SCREW = Kernel(0.003 / LENGTH, 96)
 ACROSS = Kernel(0.050 / LENGTH, 8, line=True)
-# Most drives that follow another's command do so in proportion, for which a free function is too
-# wide.
+# Most drives that follow another's command, and carriages that turn, do so in proportion. A free
+# function is too wide for that: a dial's scale and a bent rail were named in its place.
 LINE = Kernel(1.0, 0, line=True)
 # Warmth comes and goes slowly, and begins at once. The machine is that of the session's start: with
-# the mean change in it, other causes seem active. With 12 functions a dial took a part of a drift.
-DRIFT = Kernel(0.5, 24, rough=0.1, from_zero=True)
+# the mean change in it, other causes seem active. With 12 functions a dial took a part of a drift,
+# and without a line another cause its steady part.
+DRIFT = Kernel(0.5, 24, rough=0.1, line=True, from_zero=True)
 STEADY = replace(LINE, from_zero=True)
 # Rollers, and a profile that was pressed or printed: waves of some centimetres, however long the
 # stroke; half as long as those of `FINE` on a stroke of two `LENGTH`, and on a shorter one.
