@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from orthoglide.effects import Catalogue
+from orthoglide.effects import Catalogue, Effect
 from orthoglide.errors import NumericsError
 from orthoglide.explanation.change import Change
 from orthoglide.explanation.compression import MergedRows, WhitenedReadings
 from orthoglide.explanation.linear_model import (
+    BACKGROUND_SCALES,
     TWENTY_TO_ONE,
     LinearModel,
     drop_unseen_directions,
@@ -45,6 +46,9 @@ visits, one in twenty changes."""
 _MOST_CHANGES = 12
 """Largest number of changes between two visits: of three zeros and three lengths, as after new bars
 and endstops, and of as many other parameters as a machine has active causes (`LinearModel`)."""
+
+_DIAL_SCALES = tuple(scale for scale in BACKGROUND_SCALES if scale <= 1.0)
+"""Scales of the errors of dials, in tolerances: of sound ones, and of any within tolerance."""
 
 INDISTINGUISHABLE_CHI2 = CERTAIN_SIGMAS**2
 """Rise of chi2 within which two causes are indistinguishable (Wilks)."""
@@ -147,10 +151,11 @@ def _linear_model(
     """Return the model of a search in which every change is a group, linearised at unknowns
     ``(P,)`` of a machine that changed by some sizes ``(c,)``, in tolerances.
 
-    The prior is a background of one standard deviation in every state, so that no group explains
-    what is uncertain of the earlier machine. Its mean ``(P,)`` and a root of its covariance
-    ``(P, P)``, SI, come second and third. Noise is the less likely the larger it is, because it may
-    fit as well as several changes together.
+    The prior holds in every state, so that no group explains what is uncertain of the earlier
+    machine. Its mean ``(P,)`` and a root of its covariance ``(P, P)``, SI, come second and third.
+    The size of the errors of dials is learned: dials that are all off by their tolerances, each
+    otherwise at each visit, would absorb most changes of a zero. Noise is the less likely the
+    larger it is, because it may fit as well as several changes together.
     """
     count, c, scale = len(x), len(possible), problem.tolerance
     extended = replace(problem, unknowns=(*problem.unknowns, *possible))
@@ -173,12 +178,20 @@ def _linear_model(
         group = identity_group(f"change.{k}", [count + k], free_form=False)
         groups.append(replace(group, expected=_EXPECTED_CHANGES * chance))
     no_columns = np.zeros(count + c, dtype=bool)
+    of_machine = np.array([not _is_of_dial(effect_of(name)) for name in problem.names])
+    learned = ~prior_root[of_machine].any(axis=0)
     linear = LinearModel(
-        **vars(readings), fixed_sd=np.where(np.arange(count + c) < count, np.nan, 0.0),
+        **vars(readings), fixed_sd=np.append(np.where(learned, np.nan, 1.0), np.zeros(c)),
         free_form=no_columns, plate_shapes=no_columns, groups=tuple(groups),
-        background_scales=(1.0,), max_active=_MOST_CHANGES, noise_decay=1.0,
+        background_scales=_DIAL_SCALES if learned.any() else (1.0,), max_active=_MOST_CHANGES,
+        noise_decay=1.0,
     )  # fmt: skip
     return drop_unseen_directions(linear), prior_mean, prior_root
+
+
+def _is_of_dial(effect: Effect) -> bool:
+    """Return whether an effect belongs to one mounting of a dial, which no later visit repeats."""
+    return effect.of_dial and not effect.of_body
 
 
 def visits(problem: Problem) -> tuple[tuple[str, str, int], ...]:
@@ -231,8 +244,7 @@ def _with_all_effects(problem: Problem) -> Problem:
     per_visit = {split_campaign(name)[0] for name in problem.per_campaign}  # changed already
 
     def widened(unknown: Unknown) -> Unknown:
-        effect = catalogue.effect_of(unknown.name)
-        of_dial = effect.of_dial and not effect.of_body
+        of_dial = _is_of_dial(catalogue.effect_of(unknown.name))
         return replace(unknown, prior_width=1.0 if of_dial else MAX_TOLERANCES)
 
     freed = with_effects_freed(problem, effects)
