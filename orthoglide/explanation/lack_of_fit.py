@@ -47,8 +47,7 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
 
     The likeliest explanation is tested first. If it does not fit, others that are nearly as likely
     are tested. Unreported causes count only as far as the posterior mean, which is the calibrated
-    machine, fits too. If each cause has one explanation, the mean must fit: the test of an
-    explanation is linear, and large errors are not.
+    machine, fits too.
 
     With ``S = 1 + A D A^T`` the residual ``S^-1 r`` has the covariance ``S^-1`` if the explanation
     is right. Its chi2 is then a sum of squares, each weighted by an eigenvalue. Station means are
@@ -64,13 +63,11 @@ def posterior_lack_of_fit(posterior: FullPosterior, sets: CredibleSets) -> LackO
         return replace(untested, p_value=np.nan, rare=mixture.probability_rare)
     reported = mixture.restricted_to(sets.names)
     p = unreported = _largest_p_value(posterior, reported)
-    scores = posterior.after.scores
-    of_mean = scores.lack_of_fit_p if scores.dof >= _LEAST_DOF else np.inf
     if p < _SUFFICIENT_P_VALUE:
         unreported = max(p, _largest_p_value(posterior, mixture.likely_explanations))
+        scores = posterior.after.scores
+        of_mean = scores.lack_of_fit_p if scores.dof >= _LEAST_DOF else np.inf
         p = max(p, min(unreported, of_mean))
-    if sets.effects and not sets.located and not any(c.rivals or c.data for c in sets.effects):
-        p = min(p, of_mean)
     shaped = 0.0
     if mixture.linear.plate_shapes.any():
         shaped = _p_value(
