@@ -206,8 +206,8 @@ def test_a_small_change_that_repeats_show_is_one() -> None:
     assert {*change.members} <= {"axis_tilt.x.z", "rail_tilt.x.z"}
 
 
-def test_a_calibration_that_left_something_unexplained_is_no_prior() -> None:
-    """What its model lacked is in its values, so that changes from them are no changes."""
+def test_a_partial_calibration_is_no_prior() -> None:
+    """Its values lack the causes that it found, so that differences from them are no changes."""
     wrong = {f"{name}.{leg}": 1e-3 for name in ("joint_offset", "leg_length") for leg in "xyz"}
     known = SHEET.with_parameters(wrong, dict.fromkeys(wrong, 1e-5))
     known = known.with_provenance({"verdict": "partial"})
@@ -217,7 +217,7 @@ def test_a_calibration_that_left_something_unexplained_is_no_prior() -> None:
     assert not found.changed
     for name, value in afresh.machine.values.items():
         assert found.machine.values[name] == pytest.approx(value, abs=1e-7)
-    (note,) = (w for w in found.warnings if "left something unexplained" in w)
+    (note,) = (w for w in found.warnings if "the earlier calibration was partial" in w)
     assert "run orthoglide check" in note
     explained = og.close_loop([today], known.with_provenance({"verdict": "explained"}))
     assert explained.changed

@@ -51,8 +51,8 @@ def doubt_of_earlier(problem: Problem) -> str:
     spec = problem.machine.spec
     if spec.is_inconclusive:
         return (
-            "left something unexplained, so its values are taken for no more than a start, and "
-            "changes since then are not searched for"
+            "was partial, and its values lack the causes that it found: they are only where the "
+            "fit starts, and changes since then are not searched for"
         )
     clause = _ambiguity_clause(spec) if problem.has_earlier_calibration else ""
     return f"{clause}, so changes since then are uncertain" if clause else ""

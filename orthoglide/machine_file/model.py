@@ -218,10 +218,12 @@ class MachineFile:
 
     @property
     def is_inconclusive(self) -> bool:
-        """Whether the parameters are of a calibration that left significant residuals: what its
-        model lacked may be in their values, so they tell nothing before new readings.
+        """Whether the parameters are of a calibration whose causes left significant residuals.
+
+        Without these causes, which are not in the file, they tell nothing before new readings. A
+        base model alone that does not fit has sigmas that contain its residual.
         """
-        return self.provenance.get("verdict") in ("partial", "unexplained")
+        return self.provenance.get("verdict") == "partial"
 
     @property
     def is_calibrated(self) -> bool:
