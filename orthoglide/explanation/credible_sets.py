@@ -206,8 +206,7 @@ class _CredibleSetReader:
                 break
             moments = mixture.likeliest_moments(mixture.child((), k), self.groups[k].coefficients)
             explanations.append(self._explain(k, float(inclusion[k]), *moments))
-        certain = (e for e in explanations if e.exceeds_uncertainty)
-        return tuple(twin for e in certain for twin in self._twins(e))
+        return tuple(e for e in explanations if e.exceeds_uncertainty)
 
     def _cause(
         self, member: int, odds: Sequence[tuple[int, float]], ranges: Mapping[int, str]
