@@ -161,7 +161,7 @@ def test_a_place_that_is_more_probable_than_not_is_told(machine: og.Machine) -> 
     assert 0.5 < place.probability < 0.9
     result = build_result(outcome, og.Verdict)
     assert "Perhaps drive z " in headline(result)
-    assert "its probability is 0.6" in headline(result)
+    assert f"its probability is {compact(place.probability, 2)}" in headline(result)
     (action,) = (action for action in result.actions if action.kind == "confirm")
     assert "drive z" in action.options[0].words
     (possible,) = result.possible
